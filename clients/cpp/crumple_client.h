@@ -1,0 +1,189 @@
+// The door for hosts (games, simulators, scripts) and viewers: one session with one scene of a server, in plain C.
+// Pull-based: nothing is ever called back. crumple_poll takes in what has arrived; everything else reads what it left.
+// Strings and views that come out stay valid until the next crumple_poll of the session. One thread at a time uses a session.
+// Units are SI, axes of the world are z up, of a car x forward, y left, z up; orientations are unit quaternions (x, y, z, w).
+// Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+// Of all structs below; crumple_open refuses another.
+#define CRUMPLE_CLIENT_VERSION 1u
+
+enum CrumpleStatus {
+  CRUMPLE_OK = 0,
+  CRUMPLE_PENDING = 1,        // not there yet: poll and ask again
+  CRUMPLE_BAD_ARGUMENT = -1,  // a value that the server would refuse, or a struct of another version
+  CRUMPLE_CLOSED = -2,        // no connection
+  CRUMPLE_DROPPED = -3,       // the session's own queue was full: not sent
+  CRUMPLE_NO_ANSWER = -4,     // the server did not answer in time
+  CRUMPLE_UNKNOWN = -5,       // no such car, ticket or asset
+};
+
+// The sentence for the last error of this thread; valid until its next call.
+const char* crumple_error(void);
+
+typedef struct Crumple Crumple;
+
+typedef struct CrumpleOptions {
+  uint32_t version;     // CRUMPLE_CLIENT_VERSION
+  uint32_t timeout_ms;  // for the connection and for each command; 0: 2000
+  const char* connect;  // "tcp/127.0.0.1:7447"
+  const char* scene;
+  const char* host;     // the id under which this session moves cars; NULL: a viewer only
+} CrumpleOptions;
+
+// Waits until the server of the scene is seen, at most timeout_ms.
+int crumple_open(const CrumpleOptions*, Crumple** out);
+void crumple_close(Crumple*);
+
+// Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative Status.
+int crumple_poll(Crumple*, uint64_t timeout_us);
+
+typedef struct CrumpleStatistics {
+  uint64_t received, received_bytes;    // all messages
+  uint64_t surface, surface_bytes;      // keyframes and deltas among them
+  uint64_t older, refused, asked;       // dropped as older than what is held; malformed; keyframes asked for
+} CrumpleStatistics;
+void crumple_statistics(const Crumple*, CrumpleStatistics* out);
+
+// ---- commands: each gives a ticket; its answer comes by crumple_poll ---------------------------------------------------------
+
+typedef struct CrumplePose {
+  double position[3];
+  float orientation[4];
+} CrumplePose;
+
+typedef struct CrumpleSpawn {
+  CrumplePose pose;
+  float mass;               // kg; 0: mass, inertia and centre of mass of the baked car
+  float inertia[3];         // kg m^2 about the centre of mass, along the car's axes
+  float center_of_mass[3];  // m
+  int planar;               // 1: on its wheels, contacts slow it in x, y and yaw only
+} CrumpleSpawn;
+
+// crumple_keep() keeps everything; set what should change. Ranges: the server's server/sim/material.h.
+typedef struct CrumpleParameters {
+  int solver;            // 0 nodal, 1 classic; -1: keep
+  uint32_t iterations;   // 0: keep
+  int region;            // which the fields below are for; -1: all
+  float young_modulus, poisson_ratio, yield, hardening, plastic_limit, viscosity;  // NaN: keep
+  float distance_stiffness, volume_stiffness, plasticity;                          // NaN: keep; of `classic`
+} CrumpleParameters;
+CrumpleParameters crumple_keep(void);
+
+// asset: hash of the baked car, 16 hexadecimal digits.
+int crumple_spawn(Crumple*, const char* car, const char* asset, const CrumpleSpawn*, uint64_t* ticket);
+int crumple_despawn(Crumple*, const char* car, uint64_t* ticket);
+// amount: share of the damage that is taken away, in [0, 1].
+int crumple_repair(Crumple*, const char* car, float amount, uint64_t* ticket);
+int crumple_set_parameters(Crumple*, const char* car, const CrumpleParameters*, uint64_t* ticket);
+// The answer carries the state; crumple_load takes it back, for any car of the same asset.
+int crumple_save(Crumple*, const char* car, uint64_t* ticket);
+int crumple_load(Crumple*, const char* car, const void* state, size_t size, uint64_t* ticket);
+
+typedef struct CrumpleAnswer {
+  int ok;
+  uint64_t tick;         // the first tick that knows of it
+  const char* sentence;  // why not, where ok is 0
+  const uint8_t* state;  // of crumple_save
+  size_t state_size;
+} CrumpleAnswer;
+// CRUMPLE_OK: the answer is there (of the last 256 commands); CRUMPLE_PENDING; CRUMPLE_NO_ANSWER.
+int crumple_answer(Crumple*, uint64_t ticket, CrumpleAnswer* out);
+// Polls until the answer is there or the session's timeout has passed.
+int crumple_wait(Crumple*, uint64_t ticket, CrumpleAnswer* out);
+
+// ---- host --------------------------------------------------------------------------------------------------------------------
+
+typedef struct CrumpleCarPose {
+  const char* car;
+  CrumplePose pose;           // where the host has the car now
+  float velocity[3];          // of the centre of mass, m/s, world
+  float angular_velocity[3];  // rad/s, world
+  uint64_t seen;              // tick of the last reaction that pose and velocity contain; 0: the car follows a script
+} CrumpleCarPose;
+// All cars of this host in one message; sequence numbers are the session's own. time: the host's clock, s.
+int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose*, size_t count);
+
+enum CrumpleShape { CRUMPLE_BOX, CRUMPLE_SPHERE, CRUMPLE_CAPSULE, CRUMPLE_HALF_SPACE, CRUMPLE_HULL };
+
+typedef struct CrumpleObstacle {
+  uint32_t id;
+  int shape;            // CrumpleShape
+  float size[3];        // box: half extents; sphere: radius; capsule: radius, half the length of its axis (local z)
+  const float* points;  // hull: 3 floats each
+  size_t point_count;
+  CrumplePose pose;
+  float velocity[3], angular_velocity[3];  // it moves on with these
+  float friction;                          // Coulomb
+} CrumpleObstacle;
+// The whole list of this host; replaces the one before.
+int crumple_publish_obstacles(Crumple*, const CrumpleObstacle*, size_t count);
+
+typedef struct CrumpleReaction {
+  const char* car;
+  uint64_t tick;
+  double time;                                   // of the server's ticks, s
+  float impulse[3], angular_impulse[3];          // of the tick, N s and N m s about the centre of mass, world
+  CrumplePose pose;                              // at the end of the tick
+  float velocity[3], angular_velocity[3];
+  double energy_absorbed, energy_stored;         // J since spawn
+  float deepest;                                 // m
+  uint32_t contacts;
+} CrumpleReaction;
+// The next reactions not yet taken, oldest first; beyond 4096 waiting the oldest are dropped. Returns how many.
+size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
+
+// ---- viewer ------------------------------------------------------------------------------------------------------------------
+
+// From now on this car's surface is held; NULL: every car's, those present and those to come.
+int crumple_follow(Crumple*, const char* car);
+// Ids of the cars that this session holds or follows. Returns how many there are.
+size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
+
+typedef struct CrumpleSurface {
+  uint64_t tick;              // the newest one held whole
+  uint64_t hash;              // XXH64 of the quantised displacements, as the server states it
+  uint32_t vertex_count;
+  float quantum;              // m
+  const char* asset;          // hash of the baked car
+  const int16_t* quanta;      // 3 a vertex: displacement from rest in quanta, car's frame
+  int dirty;                  // changed since the last crumple_copy of this car
+  int alive;                  // 0: despawned, or its server is gone
+} CrumpleSurface;
+// CRUMPLE_PENDING: followed, but nothing whole has arrived yet.
+int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
+// Displacements from rest in metres: out[0..2] of each vertex, `stride` bytes apart (12: packed), at most `capacity` vertices.
+int crumple_copy(Crumple*, const char* car, float* out, size_t stride, size_t capacity);
+
+// The undamaged car, from the server, once per asset.
+typedef struct CrumpleMesh {
+  uint32_t vertex_count, triangle_count;
+  const float* vertex;       // 3 each, m, car's frame
+  const uint32_t* triangle;  // 3 each
+  float mass;                // kg
+  float center_of_mass[3];   // m
+  float inertia[3];          // kg m^2 about it, along the car's axes
+  const char* name;
+  const char* attribution;   // must be shown where the car is shown
+} CrumpleMesh;
+// CRUMPLE_PENDING until it has arrived. Views live as long as the session.
+int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
+
+typedef struct CrumpleHealth {
+  uint64_t tick, late;       // late: ticks that could not start in time
+  float rate;                // ticks a second
+  float tick_ms, worst_ms;   // of the last second's ticks: mean and worst
+  uint64_t refusals;         // all reasons together
+} CrumpleHealth;
+int crumple_health(const Crumple*, CrumpleHealth* out);
+
+#ifdef __cplusplus
+}
+#endif

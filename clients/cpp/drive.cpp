@@ -1,0 +1,365 @@
+// The scripted host. Per host tick: take the reactions, move the car, publish its pose. A reaction with contact is absolute:
+// pose and velocity become those the server reached (while reactions flow the newest is younger than a tick, so the pose is the
+// one at which the next tick begins). Without contact the host's own motion goes on: a reaction is one or two ticks old and
+// does not know yet that the car brakes.
+#include "cpp/drive.h"
+
+#include <Eigen/Geometry>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <optional>
+#include <stdexcept>
+#include <vector>
+
+#include "cpp/crumple_client.h"
+#include "cpp/scene.h"
+
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+namespace crumple::client {
+namespace {
+
+using Eigen::Quaterniond;
+using Eigen::Vector3d;
+using Clock = std::chrono::steady_clock;
+
+constexpr double gravity = 9.81;           // m/s^2
+constexpr double braking = 0.7 * gravity;  // locked wheels on a dry road
+constexpr double yaw_braking = 5;          // rad/s^2: the same at wheels 1.3 m from the centre of a car of 1500 kg, 2600 kg m^2
+
+struct Session {
+  Crumple* handle = nullptr;
+  ~Session() { crumple_close(handle); }
+};
+
+int need(int status) {
+  if (status < 0) throw std::runtime_error(crumple_error());
+  return status;
+}
+
+double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
+
+Vector3d vector_of(const schema::Vec3& v) { return {v.x(), v.y(), v.z()}; }
+Vector3d vector_of(const float* v) { return {v[0], v[1], v[2]}; }
+
+void copy(const Vector3d& from, float* to) {
+  for (int axis = 0; axis < 3; ++axis) to[axis] = static_cast<float>(from[axis]);
+}
+
+// The car as the host moves it.
+struct Moving {
+  Vector3d position = Vector3d::Zero();
+  Quaterniond orientation = Quaterniond::Identity();
+  Vector3d velocity = Vector3d::Zero(), turn = Vector3d::Zero();
+  Vector3d center = Vector3d::Zero();  // of mass, car's frame
+  uint64_t seen = 0;
+  bool hit = false, touching = false;
+
+  void advance(double seconds) {
+    const Vector3d middle = position + orientation * center + velocity * seconds;
+    const double angle = turn.norm() * seconds;
+    if (angle > 0) orientation = (Quaterniond(Eigen::AngleAxisd(angle, turn.normalized())) * orientation).normalized();
+    position = middle - orientation * center;
+  }
+};
+
+CrumplePose pose_of(const Moving& car) {
+  const Vector3d& p = car.position;
+  const Eigen::Quaternionf q = car.orientation.cast<float>().normalized();
+  return {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+}
+
+void adopt(const CrumpleReaction& reaction, Moving& car) {
+  const double* p = reaction.pose.position;
+  const float* q = reaction.pose.orientation;
+  car.position = {p[0], p[1], p[2]};
+  car.orientation = Eigen::Quaternionf(q[3], q[0], q[1], q[2]).cast<double>().normalized();
+  car.velocity = vector_of(reaction.velocity);
+  car.turn = vector_of(reaction.angular_velocity);
+}
+
+Moving at_start(const schema::HitT& hit, const Vector3d& center) {
+  constexpr double degree = 3.14159265358979323846 / 180;
+  Moving car;
+  car.position = vector_of(*hit.position);
+  car.orientation = Eigen::AngleAxisd(hit.yaw_deg * degree, Vector3d::UnitZ()) *
+                    Eigen::AngleAxisd(hit.pitch_deg * degree, Vector3d::UnitY()) *
+                    Eigen::AngleAxisd(hit.roll_deg * degree, Vector3d::UnitX());
+  car.velocity = vector_of(*hit.direction).normalized() * (hit.speed_kmh / 3.6);
+  car.center = center;
+  return car;
+}
+
+struct Result {
+  double before = 0, after = 0;      // m/s along the direction of travel
+  double peak = 0;                   // m/s^2, mean of one server tick
+  double dynamic = 0, residual = 0;  // m
+  double absorbed = 0;               // J
+};
+
+// Everything that a run needs at hand.
+struct Run {
+  const DriveOptions& options;
+  const schema::SceneT& scene;
+  const std::atomic<bool>& stop;
+  Session session;
+  double rate = 60, mass = 0;
+  double energy = 0;             // absorbed since spawn, as of the last reaction
+  Clock::time_point start = Clock::now();
+};
+
+std::string hash_of_car(const std::string& car) {
+  if (car.empty()) throw std::runtime_error("no car is given: --car FILE, the same as for `crumple serve`");
+  if (car.size() == 16 && car.find_first_not_of("0123456789abcdef") == std::string::npos) return car;
+  std::ifstream file(car, std::ios::binary);
+  const std::string bytes{std::istreambuf_iterator<char>(file), {}};
+  if (!file || bytes.empty()) throw std::runtime_error(car + ": cannot be read: give the file that `crumple bake` wrote, or its hash");
+  char digits[17];
+  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
+  return digits;
+}
+
+// By reference: the call that gives the status sets it.
+void order(Run& run, int status, const uint64_t& ticket, const char* what) {
+  need(status);
+  CrumpleAnswer answer;
+  need(crumple_wait(run.session.handle, ticket, &answer));
+  if (!answer.ok) throw std::runtime_error(std::string("the server refused to ") + what + ": " + answer.sentence);
+}
+
+CrumpleParameters parameters_of(const schema::ParametersT& from) {
+  CrumpleParameters to = crumple_keep();
+  const auto take = [](const auto& optional, float& value) {
+    if (optional) value = *optional;
+  };
+  if (from.solver) to.solver = static_cast<int>(*from.solver);
+  if (from.iterations) to.iterations = *from.iterations;
+  to.region = from.region;
+  take(from.young_modulus, to.young_modulus);
+  take(from.poisson_ratio, to.poisson_ratio);
+  take(from.yield, to.yield);
+  take(from.hardening, to.hardening);
+  take(from.plastic_limit, to.plastic_limit);
+  take(from.viscosity, to.viscosity);
+  take(from.distance_stiffness, to.distance_stiffness);
+  take(from.volume_stiffness, to.volume_stiffness);
+  take(from.plasticity, to.plasticity);
+  return to;
+}
+
+// Spawns the car and learns where its centre of mass is.
+Vector3d begin(Run& run) {
+  Crumple* session = run.session.handle;
+  const std::string asset = hash_of_car(run.options.car.empty() ? run.scene.car : run.options.car);
+  const Moving first = at_start(*run.scene.hits.front(), Vector3d::Zero());
+  const char* id = run.options.id.c_str();
+  uint64_t ticket = 0;
+  CrumpleAnswer ignored;
+  if (crumple_despawn(session, id, &ticket) == CRUMPLE_OK) crumple_wait(session, ticket, &ignored);  // left by an earlier run
+  CrumpleSpawn spawn{};
+  spawn.pose = pose_of(first);
+  spawn.mass = run.scene.mass;
+  spawn.planar = run.scene.planar;
+
+  CrumpleMesh mesh{};
+  const auto deadline = Clock::now() + std::chrono::seconds(10);
+  for (int status; (status = need(crumple_mesh(session, asset.c_str(), &mesh))) == CRUMPLE_PENDING;) {
+    if (Clock::now() > deadline) throw std::runtime_error("the server does not send asset " + asset);
+    need(crumple_poll(session, 100'000));
+  }
+  run.mass = run.scene.mass > 0 ? run.scene.mass : mesh.mass;
+  if (run.scene.mass > 0) {  // another mass, the same shape
+    const double share = run.scene.mass / mesh.mass;
+    for (int axis = 0; axis < 3; ++axis) {
+      spawn.inertia[axis] = static_cast<float>(share * mesh.inertia[axis]);
+      spawn.center_of_mass[axis] = mesh.center_of_mass[axis];
+    }
+  }
+  order(run, crumple_spawn(session, id, asset.c_str(), &spawn, &ticket), ticket, "spawn the car");
+  for (const auto& parameters : run.scene.parameters) {
+    const CrumpleParameters to = parameters_of(*parameters);
+    order(run, crumple_set_parameters(session, id, &to, &ticket), ticket, "take the scene's parameters");
+  }
+  need(crumple_follow(session, id));
+  std::printf("%s\n  car %s, %.0f kg: %s\n", run.scene.about.c_str(), mesh.name, run.mass, mesh.attribution);
+  return vector_of(mesh.center_of_mass);
+}
+
+void publish_obstacles(Run& run) {
+  std::vector<CrumpleObstacle> list;
+  for (const auto& from : run.scene.obstacles) {
+    CrumpleObstacle to{};
+    to.id = from->id;
+    to.shape = static_cast<int>(from->shape);
+    if (from->size) copy(vector_of(*from->size), to.size);
+    to.points = reinterpret_cast<const float*>(from->points.data());
+    to.point_count = from->points.size();
+    const auto& p = from->pose->position();
+    const auto& q = from->pose->orientation();
+    to.pose = {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+    if (from->velocity) copy(vector_of(*from->velocity), to.velocity);
+    if (from->angular_velocity) copy(vector_of(*from->angular_velocity), to.angular_velocity);
+    to.friction = from->friction;
+    list.push_back(to);
+  }
+  need(crumple_publish_obstacles(run.session.handle, list.data(), list.size()));
+}
+
+bool moving_obstacles(const schema::SceneT& scene) {
+  for (const auto& obstacle : scene.obstacles)
+    if (obstacle->velocity || obstacle->angular_velocity) return true;
+  return false;
+}
+
+void publish_pose(Run& run, const Moving& car) {
+  CrumpleCarPose pose{};
+  pose.car = run.options.id.c_str();
+  pose.pose = pose_of(car);
+  copy(car.velocity, pose.velocity);
+  copy(car.turn, pose.angular_velocity);
+  pose.seen = car.seen;
+  need(crumple_publish_poses(run.session.handle, seconds_since(run.start), &pose, 1));
+}
+
+// Largest displacement of a surface vertex against the direction of travel (car's frame), as this viewer holds it.
+double crush(Run& run, const Vector3d& travel) {
+  CrumpleSurface surface;
+  if (crumple_surface(run.session.handle, run.options.id.c_str(), &surface) != CRUMPLE_OK) return 0;
+  double most = 0;
+  for (uint32_t i = 0; i < surface.vertex_count; ++i) {
+    const int16_t* d = surface.quanta + 3 * i;
+    most = std::max(most, -travel.dot(Vector3d(d[0], d[1], d[2])));
+  }
+  return most * surface.quantum;
+}
+
+// Takes the reactions of this host tick. Returns whether the car now stands where the server put it.
+bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
+  CrumpleReaction reactions[64];
+  const size_t count = crumple_take_reactions(run.session.handle, reactions, 64);
+  std::optional<CrumpleReaction> last;
+  bool touched = false;
+  for (size_t i = 0; i < count; ++i) {
+    const CrumpleReaction& reaction = reactions[i];
+    if (run.options.id != reaction.car || reaction.tick <= car.seen) continue;
+    const double tick = reaction.time / static_cast<double>(reaction.tick);
+    const Vector3d impulse = vector_of(reaction.impulse);
+    const bool contact = reaction.contacts > 0 || impulse.squaredNorm() > 0;
+    touched |= contact;
+    result.peak = std::max(result.peak, -impulse.dot(travel) / (run.mass * tick));
+    if (contact) result.after = vector_of(reaction.velocity).dot(travel);
+    run.energy = reaction.energy_absorbed;
+    last = reaction;
+    car.seen = reaction.tick;
+    car.touching = contact;
+  }
+  if (!last) return false;
+  // 1 m/s: more than braking explains in the ticks that a reaction is late, so a reaction with contact was lost.
+  if (!touched && (!car.hit || (vector_of(last->velocity) - car.velocity).norm() < 1)) return false;
+  car.hit = true;
+  adopt(*last, car);
+  return true;
+}
+
+// What the road and gravity do to the velocity in one host tick.
+void slow_down(bool planar, double seconds, Moving& car) {
+  if (!planar) {
+    car.velocity.z() -= gravity * seconds;
+  } else if (car.hit && !car.touching) {
+    const double speed = car.velocity.norm();
+    car.velocity *= speed > 0 ? std::max(0.0, speed - braking * seconds) / speed : 0;
+    const double turn = car.turn.norm();
+    car.turn *= turn > 0 ? std::max(0.0, turn - yaw_braking * seconds) / turn : 0;
+  }
+}
+
+// Polls until the time of the next host tick.
+void wait_until(Run& run, Clock::time_point next) {
+  for (;;) {
+    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(next - Clock::now());
+    if (left.count() <= 0) break;
+    need(crumple_poll(run.session.handle, static_cast<uint64_t>(left.count())));
+  }
+  need(crumple_poll(run.session.handle, 0));
+}
+
+Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep_publishing) {
+  uint64_t ticket = 0;
+  if (hit.repair > 0)
+    order(run, crumple_repair(run.session.handle, run.options.id.c_str(), hit.repair, &ticket), ticket, "repair the car");
+  publish_obstacles(run);
+  Moving car = at_start(hit, center);
+  CrumpleReaction stale;  // of the hit before
+  while (crumple_take_reactions(run.session.handle, &stale, 1) > 0) car.seen = stale.tick;
+  const Vector3d travel = vector_of(*hit.direction).normalized(), in_car = car.orientation.conjugate() * travel;
+  Result result;
+  result.before = result.after = car.velocity.dot(travel);
+  const double energy_before = run.energy, step = 1 / run.rate;
+  const auto begun = Clock::now();
+  bool told = false;
+  const auto ticks = static_cast<int64_t>(hit.seconds * run.rate);
+  for (int64_t i = 0; i < ticks && !run.stop; ++i) {
+    wait_until(run, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(static_cast<double>(i) * step)));
+    const bool placed = react(run, travel, car, result);
+    slow_down(run.scene.planar, step, car);
+    if (!placed && i > 0) car.advance(step);
+    if (!car.hit) result.before = car.velocity.dot(travel);
+    publish_pose(run, car);
+    if (keep_publishing && i % static_cast<int64_t>(run.rate) == 0) publish_obstacles(run);
+    result.dynamic = std::max(result.dynamic, crush(run, in_car));
+    if (car.hit && !told) std::printf("  %.2f s  contact at %.1f km/h\n", static_cast<double>(i) * step, 3.6 * result.before);
+    told |= car.hit;
+    std::fflush(stdout);
+  }
+  result.residual = crush(run, in_car);
+  result.absorbed = run.energy - energy_before;
+  std::printf("  %.2f s  %s\n", seconds_since(begun), car.hit ? "over" : "over: nothing was hit");
+  return result;
+}
+
+void print_table(Run& run, const std::vector<Result>& results, double seconds) {
+  std::printf("\n  hit  speed before  after       peak   dynamic crush  residual crush  energy absorbed\n");
+  for (size_t i = 0; i < results.size(); ++i) {
+    const Result& r = results[i];
+    std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1, 3.6 * r.before,
+                3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
+  }
+  CrumpleHealth health{};
+  CrumpleStatistics statistics;
+  crumple_statistics(run.session.handle, &statistics);
+  std::printf("\n  surface received: %.1f kB in %.1f s (%.1f kB/s)", 1e-3 * static_cast<double>(statistics.surface_bytes), seconds,
+              1e-3 * static_cast<double>(statistics.surface_bytes) / seconds);
+  if (crumple_health(run.session.handle, &health) == CRUMPLE_OK)
+    std::printf("; server: %.2f ms a tick, worst %.2f, %llu late", health.tick_ms, health.worst_ms,
+                static_cast<unsigned long long>(health.late));
+  std::printf("\n");
+}
+
+}  // namespace
+
+int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
+  const schema::SceneT scene = read_scene(options.file);
+  Run run{options, scene, stop, {}};
+  run.rate = options.rate > 0 ? options.rate : scene.rate;
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000, options.connect.c_str(), options.scene.c_str(), options.host.c_str()};
+  need(crumple_open(&open, &run.session.handle));
+  const Vector3d center = begin(run);
+  const bool keep_publishing = !moving_obstacles(scene);
+  std::vector<Result> results;
+  run.start = Clock::now();
+  for (size_t i = 0; i < scene.hits.size() && !stop; ++i) {
+    std::printf("hit %zu of %zu: %.1f km/h\n", i + 1, scene.hits.size(), scene.hits[i]->speed_kmh);
+    results.push_back(play(run, *scene.hits[i], center, keep_publishing));
+  }
+  print_table(run, results, seconds_since(run.start));
+  if (!options.leave) {
+    uint64_t ticket = 0;
+    order(run, crumple_despawn(run.session.handle, options.id.c_str(), &ticket), ticket, "despawn the car");
+  }
+  return stop ? 1 : 0;
+}
+
+}  // namespace crumple::client

@@ -1,0 +1,188 @@
+// The host's side of a session: structs in, messages out. What the server would refuse for its form is refused here already,
+// with the name of the field.
+#include <cmath>
+#include <limits>
+
+#include "cpp/session.h"
+#include "schema/message_generated.h"
+
+using namespace crumple::client;
+namespace schema = crumple::schema;
+
+namespace {
+
+bool finite(const float* values, size_t count) {
+  for (size_t i = 0; i < count; ++i)
+    if (!std::isfinite(values[i])) return false;
+  return true;
+}
+
+bool good_pose(const CrumplePose& pose) {
+  for (const double p : pose.position)
+    if (!std::isfinite(p)) return false;
+  double square = 0;
+  for (const float q : pose.orientation) square += double{q} * q;
+  return std::abs(std::sqrt(square) - 1) < 1e-3;
+}
+
+int refuse_pose(const std::string& whose) {
+  return fail(CRUMPLE_BAD_ARGUMENT, "the pose of " + whose + " is not finite, or its orientation is not a unit quaternion");
+}
+
+schema::Vec3 vector_of(const float* v) { return {v[0], v[1], v[2]}; }
+
+schema::Pose pose_of(const CrumplePose& pose) {
+  const double* p = pose.position;
+  const float* q = pose.orientation;
+  return {schema::Vec3d(p[0], p[1], p[2]), schema::Quat(q[0], q[1], q[2], q[3])};
+}
+
+int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder& builder) {
+  if (session.host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
+  const std::string key = session.root + "host/" + session.host + "/" + what;
+  const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), NET_REAL_TIME);
+  if (status == TRANSPORT_DROPPED) return fail(CRUMPLE_DROPPED, transport_error());
+  return status == 0 ? CRUMPLE_OK : fail(CRUMPLE_CLOSED, transport_error());
+}
+
+int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Offset<void> body,
+          flatbuffers::FlatBufferBuilder& builder, uint64_t* ticket) {
+  if (!is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  builder.Finish(schema::CreateCommand(builder, kind, body));
+  const std::string key = session.root + "car/" + car;
+  const auto timeout = static_cast<uint32_t>(session.timeout.count());
+  if (net_get(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), timeout, ticket) != 0)
+    return fail(CRUMPLE_CLOSED, transport_error());
+  session.answers[*ticket] = {};
+  while (session.answers.size() > answers_kept) session.answers.erase(session.answers.begin());
+  return CRUMPLE_OK;
+}
+
+}  // namespace
+
+CrumpleParameters crumple_keep(void) {
+  const float keep = std::numeric_limits<float>::quiet_NaN();
+  return {-1, 0, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep};
+}
+
+int crumple_spawn(Crumple* session, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
+  if (session->host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
+  if (!good_pose(spawn->pose)) return refuse_pose(car ? car : "a car");
+  flatbuffers::FlatBufferBuilder builder;
+  const schema::Pose pose = pose_of(spawn->pose);
+  const schema::Vec3 inertia = vector_of(spawn->inertia), center = vector_of(spawn->center_of_mass);
+  const auto body = schema::CreateSpawnDirect(builder, asset, session->host.c_str(), &pose, spawn->mass, &inertia, &center,
+                                              spawn->planar != 0);
+  return order(*session, car, schema::Order::Spawn, body.Union(), builder, ticket);
+}
+
+int crumple_despawn(Crumple* session, const char* car, uint64_t* ticket) {
+  flatbuffers::FlatBufferBuilder builder;
+  return order(*session, car, schema::Order::Despawn, schema::CreateDespawn(builder).Union(), builder, ticket);
+}
+
+int crumple_repair(Crumple* session, const char* car, float amount, uint64_t* ticket) {
+  flatbuffers::FlatBufferBuilder builder;
+  return order(*session, car, schema::Order::Repair, schema::CreateRepair(builder, amount).Union(), builder, ticket);
+}
+
+int crumple_set_parameters(Crumple* session, const char* car, const CrumpleParameters* parameters, uint64_t* ticket) {
+  if (parameters->iterations > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "iterations is over 65535");
+  if (parameters->region < -1 || parameters->region > 127) return fail(CRUMPLE_BAD_ARGUMENT, "region is not in [-1, 127]");
+  if (parameters->solver < -1 || parameters->solver > 1) return fail(CRUMPLE_BAD_ARGUMENT, "solver is not -1, 0 or 1");
+  flatbuffers::FlatBufferBuilder builder;
+  schema::ParametersBuilder to(builder);
+  if (parameters->solver >= 0) to.add_solver(static_cast<schema::Solver>(parameters->solver));
+  if (parameters->iterations) to.add_iterations(static_cast<uint16_t>(parameters->iterations));
+  to.add_region(static_cast<int8_t>(parameters->region));
+  const auto add = [&](float value, auto setter) {
+    if (!std::isnan(value)) (to.*setter)(value);
+  };
+  using To = schema::ParametersBuilder;
+  add(parameters->young_modulus, &To::add_young_modulus);
+  add(parameters->poisson_ratio, &To::add_poisson_ratio);
+  add(parameters->yield, &To::add_yield);
+  add(parameters->hardening, &To::add_hardening);
+  add(parameters->plastic_limit, &To::add_plastic_limit);
+  add(parameters->viscosity, &To::add_viscosity);
+  add(parameters->distance_stiffness, &To::add_distance_stiffness);
+  add(parameters->volume_stiffness, &To::add_volume_stiffness);
+  add(parameters->plasticity, &To::add_plasticity);
+  return order(*session, car, schema::Order::Parameters, to.Finish().Union(), builder, ticket);
+}
+
+int crumple_save(Crumple* session, const char* car, uint64_t* ticket) {
+  flatbuffers::FlatBufferBuilder builder;
+  return order(*session, car, schema::Order::Save, schema::CreateSave(builder).Union(), builder, ticket);
+}
+
+int crumple_load(Crumple* session, const char* car, const void* state, size_t size, uint64_t* ticket) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto bytes = builder.CreateVector(static_cast<const uint8_t*>(state), size);
+  return order(*session, car, schema::Order::Load, schema::CreateLoad(builder, bytes).Union(), builder, ticket);
+}
+
+int crumple_answer(Crumple* session, uint64_t ticket, CrumpleAnswer* out) {
+  const auto at = session->answers.find(ticket);
+  if (at == session->answers.end()) return fail(CRUMPLE_UNKNOWN, "no such ticket among the last 256 commands");
+  const CommandAnswer& answer = at->second;
+  if (!answer.arrived) return CRUMPLE_PENDING;
+  *out = {answer.ok, answer.tick, answer.sentence.c_str(), answer.state.data(), answer.state.size()};
+  return CRUMPLE_OK;
+}
+
+int crumple_wait(Crumple* session, uint64_t ticket, CrumpleAnswer* out) {
+  // A little longer than the query itself, whose end is the sentence that the caller should get.
+  const auto deadline = Clock::now() + session->timeout + std::chrono::seconds(1);
+  for (;;) {
+    const int status = crumple_answer(session, ticket, out);
+    if (status != CRUMPLE_PENDING) return status;
+    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
+    if (left.count() <= 0) return fail(CRUMPLE_NO_ANSWER, "the server did not answer within the timeout of the session");
+    if (const int got = crumple_poll(session, static_cast<uint64_t>(left.count())); got < 0) return got;
+  }
+}
+
+int crumple_publish_poses(Crumple* session, double time, const CrumpleCarPose* cars, size_t count) {
+  flatbuffers::FlatBufferBuilder builder;
+  std::vector<flatbuffers::Offset<schema::CarPose>> list;
+  for (size_t i = 0; i < count; ++i) {
+    const CrumpleCarPose& car = cars[i];
+    if (!is_id(car.car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+    if (!good_pose(car.pose)) return refuse_pose(car.car);
+    if (!finite(car.velocity, 3) || !finite(car.angular_velocity, 3))
+      return fail(CRUMPLE_BAD_ARGUMENT, std::string("the velocity of ") + car.car + " is not finite");
+    const schema::Pose pose = pose_of(car.pose);
+    const schema::Vec3 velocity = vector_of(car.velocity), turn = vector_of(car.angular_velocity);
+    list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen));
+  }
+  builder.Finish(schema::CreatePosesDirect(builder, ++session->sequence, time, &list));
+  return put(*session, "poses", builder);
+}
+
+int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles, size_t count) {
+  flatbuffers::FlatBufferBuilder builder;
+  std::vector<flatbuffers::Offset<schema::Obstacle>> list;
+  for (size_t i = 0; i < count; ++i) {
+    const CrumpleObstacle& from = obstacles[i];
+    if (from.shape < CRUMPLE_BOX || from.shape > CRUMPLE_HULL) return fail(CRUMPLE_BAD_ARGUMENT, "shape is not a CrumpleShape");
+    if (!good_pose(from.pose)) return refuse_pose("obstacle " + std::to_string(from.id));
+    const schema::Pose pose = pose_of(from.pose);
+    const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity), turn = vector_of(from.angular_velocity);
+    std::vector<schema::Vec3> points;
+    for (size_t k = 0; k < from.point_count; ++k) points.push_back(vector_of(from.points + 3 * k));
+    list.push_back(schema::CreateObstacleDirect(builder, from.id, static_cast<schema::Shape>(from.shape), &size, &points, &pose,
+                                                &velocity, &turn, from.friction));
+  }
+  builder.Finish(schema::CreateObstaclesDirect(builder, ++session->sequence, &list));
+  return put(*session, "obstacles", builder);
+}
+
+size_t crumple_take_reactions(Crumple* session, CrumpleReaction* out, size_t capacity) {
+  size_t count = 0;
+  for (; count < capacity && !session->reactions.empty(); ++count) {
+    out[count] = session->reactions.front();
+    session->reactions.pop_front();
+  }
+  return count;
+}

@@ -1,0 +1,14 @@
+// A scene file for `crumple drive`: JSON in the form of schema/scene.fbs, read by FlatBuffers' own parser.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "schema/scene_generated.h"
+
+namespace crumple::client {
+
+// Throws std::runtime_error: file, line and what is wrong there; or which value is out of its range.
+schema::SceneT read_scene(const std::string& file);
+
+}  // namespace crumple::client

@@ -1,0 +1,437 @@
+// A session: opening, taking in what arrives, and the viewer's side. Messages are checked before a field of them is used; one
+// that does not hold is counted as refused and leaves everything as it was.
+#include "cpp/session.h"
+
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <cstring>
+
+#include "schema/car_generated.h"
+#include "schema/message_generated.h"
+
+namespace crumple::client {
+namespace {
+
+thread_local std::string last_error;
+
+template <class Table>
+const Table* verified(std::span<const uint8_t> bytes) {
+  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
+  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
+  return flatbuffers::GetRoot<Table>(bytes.data());
+}
+
+void copy(const schema::Vec3& from, float (&to)[3]) {
+  to[0] = from.x();
+  to[1] = from.y();
+  to[2] = from.z();
+}
+
+CrumplePose pose_of(const schema::Pose& pose) {
+  const auto& p = pose.position();
+  const auto& q = pose.orientation();
+  return {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
+}
+
+void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car) {
+  if (car.asking) return;
+  const std::string key = session.root + "car/" + id + "/key";
+  const auto timeout = static_cast<uint32_t>(session.timeout.count());
+  if (net_get(session.net, key.c_str(), nullptr, 0, timeout, &car.asking) != 0) return;
+  session.key_tickets[car.asking] = id;
+  car.unsure = false;
+  ++session.statistics.asked;
+}
+
+void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
+  const std::string key = "crumple/1/asset/" + hash;
+  const uint64_t offset = asset.size;
+  const auto timeout = static_cast<uint32_t>(session.timeout.count());
+  if (net_get(session.net, key.c_str(), &offset, sizeof offset, timeout, &asset.asking) != 0)
+    asset.trouble = transport_error();
+  else
+    session.asset_tickets[asset.asking] = hash;
+}
+
+// The car of this id if it is followed; follow-all takes in any.
+FollowedCar* followed(Crumple& session, std::string_view id) {
+  auto at = session.cars.find(id);
+  if (at == session.cars.end()) {
+    if (!session.follows_all || !is_id(std::string(id).c_str())) return nullptr;
+    at = session.cars.try_emplace(std::string(id)).first;
+  }
+  return &at->second;
+}
+
+void take_surface(Crumple& session, const std::string& id, FollowedCar& car, bool keyframe, bool asked_for,
+                  std::span<const uint8_t> bytes) {
+  ++session.statistics.surface;
+  session.statistics.surface_bytes += bytes.size();
+  if (car.fresh && keyframe) {
+    // The ticks of an earlier car of this id, or of an earlier server, say nothing about those of this one.
+    Surface empty;
+    const Outcome outcome = apply_keyframe(bytes, empty);
+    if (outcome.applied == Applied::whole || outcome.applied == Applied::part) {
+      car.surface = std::move(empty);
+      car.fresh = false;
+      car.dirty |= outcome.applied == Applied::whole;
+    } else {
+      ++session.statistics.refused;
+    }
+    return;
+  }
+  if (asked_for) car.surface.key_parts = {};
+  const Outcome outcome = keyframe ? apply_keyframe(bytes, car.surface) : apply_delta(bytes, car.surface);
+  car.unsure = !asked_for;
+  switch (outcome.applied) {
+    case Applied::whole: car.dirty = true; break;
+    case Applied::part: break;
+    case Applied::old: ++session.statistics.older; break;
+    case Applied::missing_keyframe: ask_for_keyframe(session, id, car); break;
+    case Applied::refused: ++session.statistics.refused; break;
+  }
+}
+
+void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Reactions>(bytes);
+  if (!message) {
+    ++session.statistics.refused;
+    return;
+  }
+  for (const auto* from : *message->cars()) {
+    if (!is_id(from->car()->c_str()) || session.names.size() > 100'000) {
+      ++session.statistics.refused;
+      continue;
+    }
+    CrumpleReaction to{};
+    to.car = session.names.insert(from->car()->str()).first->c_str();
+    to.tick = message->tick();
+    to.time = message->time();
+    copy(*from->impulse(), to.impulse);
+    copy(*from->angular_impulse(), to.angular_impulse);
+    to.pose = pose_of(*from->pose());
+    copy(*from->velocity(), to.velocity);
+    copy(*from->angular_velocity(), to.angular_velocity);
+    to.energy_absorbed = from->energy_absorbed();
+    to.energy_stored = from->energy_stored();
+    to.deepest = from->deepest();
+    to.contacts = from->contacts();
+    session.reactions.push_back(to);
+  }
+  while (session.reactions.size() > reactions_kept) session.reactions.pop_front();
+}
+
+void take_health(Crumple& session, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Health>(bytes);
+  if (!message) {
+    ++session.statistics.refused;
+    return;
+  }
+  CrumpleHealth& health = session.health;
+  health = {message->tick(), message->late(), message->rate(), 0, 0, 0};
+  if (message->rooms())
+    for (const auto* room : *message->rooms())
+      if (room->name()->string_view() == "tick") {
+        health.tick_ms = room->milliseconds();
+        health.worst_ms = room->worst();
+      }
+  if (message->refusals())
+    for (const auto* count : *message->refusals()) health.refusals += count->value();
+}
+
+void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_t> bytes, bool failed) {
+  const auto* message = verified<schema::Answer>(bytes);
+  if (!message) {
+    ++session.statistics.refused;
+    answer.sentence.assign(reinterpret_cast<const char*>(bytes.data()), failed ? std::min<size_t>(bytes.size(), 500) : 0);
+  } else {
+    answer.ok = message->ok();
+    answer.tick = message->tick();
+    if (message->sentence()) answer.sentence = message->sentence()->str();
+    if (message->state()) answer.state.assign(message->state()->begin(), message->state()->end());
+  }
+  answer.arrived = true;
+}
+
+// The views of a mesh, once every piece is there and the bytes are those that the hash names.
+std::string read_mesh(const std::string& hash, Asset& asset) {
+  const auto* bytes = reinterpret_cast<const uint8_t*>(asset.words.data());
+  char digits[17];
+  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes, asset.size, 0)));
+  if (hash != digits) return "the bytes of asset " + hash + " have the hash " + digits + ": ask again";
+  flatbuffers::Verifier verifier(bytes, asset.size);
+  if (!schema::VerifyCarBuffer(verifier)) return "asset " + hash + " is not a baked car";
+  const schema::Car& car = *schema::GetCar(bytes);
+  const auto& triangle = *car.triangle();
+  const uint32_t vertices = car.vertex()->size();
+  const bool fits = triangle.size() % 3 == 0 &&
+                    std::all_of(triangle.begin(), triangle.end(), [&](uint32_t vertex) { return vertex < vertices; });
+  if (!fits) return "triangles of asset " + hash + " name vertices that it does not have";
+  asset.mesh.vertex_count = vertices;
+  asset.mesh.triangle_count = triangle.size() / 3;
+  asset.mesh.vertex = reinterpret_cast<const float*>(car.vertex()->Data());
+  asset.mesh.triangle = triangle.data();
+  asset.mesh.mass = car.mass();
+  if (car.center_of_mass()) copy(*car.center_of_mass(), asset.mesh.center_of_mass);
+  if (car.inertia()) copy(*car.inertia(), asset.mesh.inertia);
+  asset.mesh.name = car.name()->c_str();
+  asset.mesh.attribution = car.attribution()->c_str();
+  return {};
+}
+
+void take_asset(Crumple& session, const std::string& hash, Asset& asset, std::span<const uint8_t> bytes, bool failed) {
+  asset.asking = 0;
+  if (failed || asset.size + bytes.size() > asset_limit) {
+    asset.trouble = failed ? std::string(reinterpret_cast<const char*>(bytes.data()), std::min<size_t>(bytes.size(), 500))
+                           : "asset " + hash + " is over 256 MiB";
+    return;
+  }
+  asset.words.resize((asset.size + bytes.size() + 7) / 8);
+  if (!bytes.empty()) std::memcpy(reinterpret_cast<uint8_t*>(asset.words.data()) + asset.size, bytes.data(), bytes.size());
+  asset.size += bytes.size();
+  if (bytes.size() == asset_piece) return ask_for_asset(session, hash, asset);
+  asset.trouble = read_mesh(hash, asset);
+  asset.whole = asset.trouble.empty();
+}
+
+// "car/{id}/key" -> id; nothing if the key has another form.
+std::string_view car_of(std::string_view key) {
+  if (!key.starts_with("car/")) return {};
+  key.remove_prefix(4);
+  return key.substr(0, key.find('/'));
+}
+
+void take_sample(Crumple& session, std::string_view key, std::span<const uint8_t> bytes) {
+  if (key == "health") return take_health(session, bytes);
+  if (key.ends_with("/reactions")) return take_reactions(session, bytes);
+  FollowedCar* car = followed(session, car_of(key));
+  if (!car) return;
+  car->last = Clock::now();
+  take_surface(session, std::string(car_of(key)), *car, key.ends_with("/key"), false, bytes);
+}
+
+void take_reply(Crumple& session, uint64_t ticket, std::span<const uint8_t> bytes, bool failed) {
+  if (const auto command = session.answers.find(ticket); command != session.answers.end()) {
+    if (!command->second.arrived) take_answer(session, command->second, bytes, failed);
+  } else if (const auto key = session.key_tickets.find(ticket); key != session.key_tickets.end()) {
+    const auto car = session.cars.find(key->second);
+    if (car != session.cars.end() && !failed) take_surface(session, key->second, car->second, true, true, bytes);
+  } else if (const auto part = session.asset_tickets.find(ticket); part != session.asset_tickets.end()) {
+    const std::string hash = part->second;
+    session.asset_tickets.erase(part);
+    take_asset(session, hash, session.assets[hash], bytes, failed);
+  }
+}
+
+// Nothing more will come for this ticket.
+void end_ticket(Crumple& session, uint64_t ticket) {
+  if (const auto command = session.answers.find(ticket); command != session.answers.end()) {
+    if (!command->second.arrived) command->second.sentence = "the server did not answer within the timeout of the session";
+    command->second.arrived = true;
+  } else if (const auto key = session.key_tickets.find(ticket); key != session.key_tickets.end()) {
+    if (const auto car = session.cars.find(key->second); car != session.cars.end()) car->second.asking = 0;
+    session.key_tickets.erase(key);
+  } else if (const auto part = session.asset_tickets.find(ticket); part != session.asset_tickets.end()) {
+    Asset& asset = session.assets[part->second];
+    asset.asking = 0;
+    asset.trouble = "the server did not answer with asset " + part->second;
+    session.asset_tickets.erase(part);
+  }
+}
+
+void take_liveliness(Crumple& session, std::string_view key, bool alive) {
+  if (key == "server") session.server_alive = alive;
+  const std::string_view id = car_of(key);
+  FollowedCar* car = id.empty() ? nullptr : followed(session, id);
+  if (!car) return;
+  car->alive = alive;
+  car->fresh = true;
+  if (alive) ask_for_keyframe(session, std::string(id), *car);
+}
+
+void take(Crumple& session, const NetEvent& event) {
+  const std::span<const uint8_t> bytes(event.data, event.size);
+  std::string_view key = event.key ? event.key : "";
+  if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) {
+    if (event.kind == NET_REPLY_END) return end_ticket(session, event.ticket);
+    session.statistics.received_bytes += bytes.size();
+    return take_reply(session, event.ticket, bytes, event.failed != 0);
+  }
+  if (!key.starts_with(session.root)) return;
+  key.remove_prefix(session.root.size());
+  if (event.kind == NET_SAMPLE) {
+    ++session.statistics.received;
+    session.statistics.received_bytes += bytes.size();
+    take_sample(session, key, bytes);
+  } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
+    take_liveliness(session, key, event.kind == NET_ALIVE);
+  }
+}
+
+void ask_the_silent(Crumple& session) {
+  const auto now = Clock::now();
+  for (auto& [id, car] : session.cars)
+    if (car.unsure && now - car.last > silence) ask_for_keyframe(session, id, car);
+}
+
+// Subscriptions and the wait for the server; throws nothing, leaves the error behind.
+int begin(Crumple& session, const char* connect) {
+  const auto timeout = static_cast<uint32_t>(session.timeout.count());
+  if (net_open("client", nullptr, connect, nullptr, timeout, &session.net) != 0)
+    return fail(CRUMPLE_CLOSED, std::string("cannot reach ") + connect + " (" + transport_error() +
+                                    "): is `crumple serve` running there?");
+  const std::string server = session.root + "server", health = session.root + "health";
+  if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0) != 0)
+    return fail(CRUMPLE_CLOSED, transport_error());
+  const std::string reactions = session.root + "host/" + session.host + "/reactions";
+  if (!session.host.empty() && net_subscribe(session.net, reactions.c_str(), reactions_kept) != 0)
+    return fail(CRUMPLE_CLOSED, transport_error());
+  const auto deadline = Clock::now() + session.timeout;
+  while (!session.server_alive) {
+    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
+    if (left.count() <= 0)
+      return fail(CRUMPLE_CLOSED, "no server of scene " + session.root.substr(10, session.root.size() - 11) + " answers at " +
+                                      connect + ": start `crumple serve --scene ...`, or give its scene");
+    if (const int got = crumple_poll(&session, static_cast<uint64_t>(left.count())); got < 0) return got;
+  }
+  return CRUMPLE_OK;
+}
+
+}  // namespace
+
+int fail(int status, std::string sentence) {
+  last_error = std::move(sentence);
+  return status;
+}
+
+bool is_id(const char* text) {
+  if (!text) return false;
+  const size_t length = strnlen(text, 33);
+  return length >= 1 && length <= 32 && std::all_of(text, text + length, [](char c) {
+           return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
+         });
+}
+
+}  // namespace crumple::client
+
+using namespace crumple::client;
+
+const char* crumple_error(void) { return last_error.c_str(); }
+
+int crumple_open(const CrumpleOptions* options, Crumple** out) {
+  if (!options || !out || options->version != CRUMPLE_CLIENT_VERSION)
+    return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
+  if (!options->connect) return fail(CRUMPLE_BAD_ARGUMENT, "options.connect is missing: give an endpoint such as tcp/127.0.0.1:7447");
+  if (!is_id(options->scene) || (options->host && !is_id(options->host)))
+    return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  auto* session = new Crumple;
+  session->root = std::string("crumple/1/") + options->scene + "/";
+  session->host = options->host ? options->host : "";
+  if (options->timeout_ms) session->timeout = std::chrono::milliseconds(options->timeout_ms);
+  // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
+  session->sequence = static_cast<uint64_t>(
+      std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
+  if (const int status = begin(*session, options->connect); status != CRUMPLE_OK) {
+    const std::string sentence = last_error;
+    crumple_close(session);
+    return fail(status, sentence);
+  }
+  *out = session;
+  return CRUMPLE_OK;
+}
+
+void crumple_close(Crumple* session) {
+  if (!session) return;
+  if (session->net) net_close(session->net);
+  delete session;
+}
+
+int crumple_poll(Crumple* session, uint64_t timeout_us) {
+  NetEvent events[64];
+  int total = 0, got = 0;
+  do {
+    got = net_poll(session->net, events, 64, timeout_us);
+    if (got < 0) return fail(CRUMPLE_CLOSED, transport_error());
+    for (int i = 0; i < got; ++i) take(*session, events[i]);
+    total += got;
+    timeout_us = 0;
+  } while (got == 64);
+  ask_the_silent(*session);
+  return total;
+}
+
+void crumple_statistics(const Crumple* session, CrumpleStatistics* out) { *out = session->statistics; }
+
+int crumple_follow(Crumple* session, const char* car) {
+  if (car && !is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  if (!car) session->follows_all = true;
+  const std::string base = session->root + "car/" + (car ? car : "*");
+  for (const char* what : {"/key", "/delta/0"})
+    if (net_subscribe(session->net, (base + what).c_str(), 4096) != 0) return fail(CRUMPLE_CLOSED, transport_error());
+  if (net_watch(session->net, base.c_str()) != 0) return fail(CRUMPLE_CLOSED, transport_error());
+  if (car) session->cars.try_emplace(car);
+  return CRUMPLE_OK;
+}
+
+size_t crumple_cars(const Crumple* session, const char** ids, size_t capacity) {
+  size_t count = 0;
+  for (const auto& [id, car] : session->cars) {
+    if (count < capacity) ids[count] = id.c_str();
+    ++count;
+  }
+  return count;
+}
+
+int crumple_surface(Crumple* session, const char* id, CrumpleSurface* out) {
+  const auto at = session->cars.find(id);
+  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+  const FollowedCar& car = at->second;
+  if (car.surface.quanta.empty()) return CRUMPLE_PENDING;
+  *out = {car.surface.tick,
+          car.surface.hash,
+          static_cast<uint32_t>(car.surface.quanta.size() / 3),
+          car.surface.quantum,
+          car.surface.asset.c_str(),
+          car.surface.quanta.data(),
+          car.dirty,
+          car.alive};
+  return CRUMPLE_OK;
+}
+
+int crumple_copy(Crumple* session, const char* id, float* out, size_t stride, size_t capacity) {
+  const auto at = session->cars.find(id);
+  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+  if (stride < 12 || stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
+  const Surface& surface = at->second.surface;
+  if (surface.quanta.empty()) return CRUMPLE_PENDING;
+  const size_t count = std::min(capacity, surface.quanta.size() / 3);
+  for (size_t i = 0; i < count; ++i)
+    for (size_t axis = 0; axis < 3; ++axis)
+      out[i * (stride / 4) + axis] = surface.quantum * static_cast<float>(surface.quanta[3 * i + axis]);
+  at->second.dirty = false;
+  return CRUMPLE_OK;
+}
+
+int crumple_mesh(Crumple* session, const char* hash, CrumpleMesh* out) {
+  if (!is_id(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+  Asset& asset = session->assets[hash];
+  if (asset.whole) {
+    *out = asset.mesh;
+    return CRUMPLE_OK;
+  }
+  if (!asset.trouble.empty()) {
+    const std::string trouble = asset.trouble;
+    asset = {};
+    return fail(CRUMPLE_NO_ANSWER, trouble);
+  }
+  if (!asset.asking) ask_for_asset(*session, hash, asset);
+  return CRUMPLE_PENDING;
+}
+
+int crumple_health(const Crumple* session, CrumpleHealth* out) {
+  *out = session->health;
+  return session->health.rate > 0 ? CRUMPLE_OK : CRUMPLE_PENDING;
+}

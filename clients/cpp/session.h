@@ -1,0 +1,79 @@
+// Inside of a session (crumple_client.h): what has arrived and was not yet asked for, and what is outstanding.
+#pragma once
+
+#include <chrono>
+#include <deque>
+#include <map>
+#include <set>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "cpp/crumple_client.h"
+#include "cpp/surface.h"
+#include "transport/transport.h"
+
+namespace crumple::client {
+
+using Clock = std::chrono::steady_clock;
+
+// Longest wait for the message after the last one: a car that falls silent is asked for its keyframe once, since the last
+// delta or keyframe may have been lost and an idle car sends nothing.
+inline constexpr std::chrono::milliseconds silence{500};
+inline constexpr size_t reactions_kept = 4096;
+inline constexpr size_t answers_kept = 256;
+// An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8
+// bytes, little endian; none: 0); a shorter answer is the last.
+inline constexpr size_t asset_piece = size_t{4} << 20;
+inline constexpr size_t asset_limit = size_t{256} << 20;
+
+struct FollowedCar {
+  Surface surface;
+  bool alive = false;
+  bool dirty = false;
+  bool unsure = false;        // a message came since the last keyframe that was asked for
+  bool fresh = true;          // the car (or its server) is a new one: the next keyframe counts whatever its tick
+  uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
+  Clock::time_point last{};   // of its last message
+};
+
+struct CommandAnswer {
+  bool arrived = false, ok = false;
+  uint64_t tick = 0;
+  std::string sentence;
+  std::vector<uint8_t> state;
+};
+
+struct Asset {
+  uint64_t asking = 0;
+  bool whole = false;
+  std::string trouble;
+  std::vector<uint64_t> words;  // the bytes, aligned
+  size_t size = 0;
+  CrumpleMesh mesh{};
+};
+
+// Keeps the sentence of crumple_error and gives the status back.
+int fail(int status, std::string sentence);
+// Whether it can be the id of a scene, host or car: 1 to 32 of a-z A-Z 0-9 _ -.
+bool is_id(const char*);
+
+}  // namespace crumple::client
+
+struct Crumple {
+  Net* net = nullptr;
+  std::string root;  // "crumple/1/{scene}/"
+  std::string host;
+  std::chrono::milliseconds timeout{2000};
+  bool server_alive = false;
+  bool follows_all = false;
+  uint64_t sequence = 0;
+  std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;
+  std::map<std::string, crumple::client::Asset, std::less<>> assets;
+  std::map<uint64_t, crumple::client::CommandAnswer> answers;  // by ticket, oldest first
+  std::map<uint64_t, std::string> key_tickets, asset_tickets;
+  std::deque<CrumpleReaction> reactions;
+  std::set<std::string, std::less<>> names;  // of cars in reactions
+  CrumpleHealth health{};
+  CrumpleStatistics statistics{};
+};

@@ -1,0 +1,161 @@
+#include "asset/bake.h"
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <stdexcept>
+
+#include "asset/build_constraints.h"
+#include "asset/build_skin.h"
+#include "asset/built_in.h"
+#include "asset/order_spatially.h"
+#include "asset/paint_regions.h"
+#include "schema/car_generated.h"
+
+namespace crumple {
+namespace {
+
+constexpr std::string_view built_in = "built-in";
+constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
+
+std::string text_of(double value, const char* format) {
+  char text[32];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+// ---- input -------------------------------------------------------------------------------------------------------------
+
+size_t built_in_vertices(const std::string& input) {
+  if (input == built_in) return default_vertices;
+  size_t vertices = 0;
+  const char* end = input.data() + input.size();
+  const auto [stop, error] = std::from_chars(input.data() + built_in.size() + 1, end, vertices);
+  if (error != std::errc() || stop != end || vertices < 400 || vertices > 20'000)
+    throw std::runtime_error(input + ": write built-in:VERTICES with a number from 400 to 20000, such as built-in:1259.");
+  return vertices;
+}
+
+bool is_built_in(const std::string& input) { return input == built_in || input.starts_with(std::string(built_in) + ":"); }
+
+ImportedSurface read_surface(const BakeOptions& options) {
+  if (!is_built_in(options.input)) return import_surface(options.input, options.import);
+  const Surface body = build_car_body(built_in_vertices(options.input));
+  std::vector<Eigen::Vector3d> positions;
+  for (const Vec3& vertex : body.vertex) positions.push_back(vertex.cast<double>());
+  return place_surface(positions, {}, body.triangle, {}, options.input);
+}
+
+std::string default_name(const std::string& input) {
+  return is_built_in(input) ? std::string(built_in) : std::filesystem::path(input).stem().string();
+}
+
+std::string default_attribution(const std::string& input) {
+  return is_built_in(input) ? "built-in car of the crumple project, Apache-2.0" : "not stated";
+}
+
+// ---- output ------------------------------------------------------------------------------------------------------------
+
+template <class Theirs, class Ours>
+auto structs(flatbuffers::FlatBufferBuilder& builder, const std::vector<Ours>& list) {
+  static_assert(sizeof(Theirs) == sizeof(Ours));
+  return builder.CreateVectorOfStructs(reinterpret_cast<const Theirs*>(list.data()), list.size());
+}
+
+schema::Vec3 stored(const Vec3& v) { return {v.x(), v.y(), v.z()}; }
+
+struct Parts {
+  const Surface& surface;
+  const TetMesh& tets;
+  const Constraints& constraints;
+  const Masses& masses;
+  const Regions& regions;
+  const SkinResult& skin;
+};
+
+std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options) {
+  flatbuffers::FlatBufferBuilder builder(1 << 20);
+  const auto name = builder.CreateString(options.name.empty() ? default_name(options.input) : options.name);
+  const auto attribution = builder.CreateString(options.attribution.empty() ? default_attribution(options.input) : options.attribution);
+  const auto node = structs<schema::Vec3>(builder, parts.tets.node);
+  const auto node_mass = builder.CreateVector(parts.masses.node);
+  const auto node_region = builder.CreateVector(parts.regions.node_region);
+  const auto node_anchored = builder.CreateVector(parts.regions.node_anchored);
+  const auto tet = structs<schema::Tet>(builder, parts.tets.tet);
+  const auto gradients = structs<schema::Gradients>(builder, parts.constraints.gradients);
+  const auto tet_rest = builder.CreateVector(parts.constraints.tet_rest);
+  const auto tet_region = builder.CreateVector(parts.regions.tet_region);
+  const auto edge = structs<schema::Edge>(builder, parts.constraints.edge);
+  const auto edge_rest = builder.CreateVector(parts.constraints.edge_rest);
+  const auto node_first = builder.CreateVector(parts.constraints.node_first);
+  const auto corner = builder.CreateVector(parts.constraints.corner);
+  const auto vertex = structs<schema::Vec3>(builder, parts.surface.vertex);
+  const auto triangle = builder.CreateVector(parts.surface.triangle.data()->data(), 3 * parts.surface.triangle.size());
+  const auto skin = structs<schema::Skin>(builder, parts.skin.skin);
+  const auto region = builder.CreateVectorOfStrings(parts.regions.name);
+  const schema::Vec3 center = stored(parts.masses.center), inertia = stored(parts.masses.inertia);
+  schema::FinishCarBuffer(
+      builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored, tet, gradients,
+                                 tet_rest, tet_region, edge, edge_rest, node_first, corner, vertex, triangle, skin, region,
+                                 static_cast<float>(options.mass), &center, &inertia));
+  const auto* bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {bytes, bytes + builder.GetSize()};
+}
+
+void report_result(const Parts& parts, std::vector<std::string>& report) {
+  const auto [smallest, largest] = std::minmax_element(parts.constraints.tet_rest.begin(), parts.constraints.tet_rest.end());
+  report.push_back(std::to_string(parts.tets.node.size()) + " nodes, " + std::to_string(parts.tets.tet.size()) +
+                   " volume constraints (" + text_of(*smallest, "%.2g") + " to " + text_of(*largest, "%.2g") + " m^3), " +
+                   std::to_string(parts.constraints.edge.size()) + " distance constraints");
+  const SkinResult& skin = parts.skin;
+  report.push_back("skin: " + std::to_string(skin.coincident) + " vertices on a node, " + std::to_string(skin.contained) +
+                   " inside a tet, " + std::to_string(skin.nearest) + " on the nearest tet" +
+                   (skin.nearest ? ", at most " + text_of(1000 * skin.farthest, "%.1f") + " mm away, weights up to " +
+                                       text_of(skin.largest_weight, "%.1f")
+                                 : ""));
+}
+
+}  // namespace
+
+BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& options) {
+  if (!(options.mass >= 10 && options.mass <= 100'000))
+    throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
+  BakeResult out;
+  order_spatially(surface);
+  order_spatially(tets);
+  const Constraints constraints = build_constraints(tets);
+  const Masses masses = lump_masses(tets, constraints.tet_rest, options.mass);
+  const Regions regions = paint_regions(tets, surface, options.regions, out.report);
+  const SkinResult skin = build_skin(tets, surface.vertex);
+  const Parts parts{surface, tets, constraints, masses, regions, skin};
+  report_result(parts, out.report);
+  out.car = read_car(serialise(parts, options), options.input);
+  return out;
+}
+
+BakeResult bake(const BakeOptions& options, const Progress& progress) {
+  const ImportedSurface input = read_surface(options);
+  std::vector<std::string> report = input.report;
+  TetMesh tets = options.tets.empty() ? tetrahedralise(input, options.nodes, options.input, progress, report)
+                                      : import_tets(options.tets, input.from_file, report);
+  if (progress) progress("constraints, skin and regions");
+  BakeResult out = assemble_car(input.surface, std::move(tets), options);
+  out.report.insert(out.report.begin(), report.begin(), report.end());
+  return out;
+}
+
+void write_car(const Car& car, const std::filesystem::path& file) {
+  const std::filesystem::path beside = file.string() + ".part";
+  std::ofstream stream(beside, std::ios::binary | std::ios::trunc);
+  stream.write(reinterpret_cast<const char*>(car.bytes.data()), static_cast<std::streamsize>(car.bytes.size()));
+  stream.close();
+  std::error_code error;
+  if (stream) std::filesystem::rename(beside, file, error);
+  if (!stream || error)
+    throw std::runtime_error(file.string() + ": the car cannot be written there; name a folder that exists and can be written.");
+}
+
+}  // namespace crumple

@@ -1,0 +1,235 @@
+// Loads a baked car: maps the file, lets FlatBuffers verify its structure, then checks every size, index and number once.
+// The checks are branch-free loops that only collect a verdict; which element was wrong is of no use to the reader.
+
+#include "asset/car.h"
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <stdexcept>
+
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+#include "schema/car_generated.h"
+
+namespace crumple {
+namespace {
+
+constexpr uint32_t current_version = 1;
+constexpr float largest_weight = 1e4f;  // of a vertex on a node: beyond it 1e-7 of a float is over a millimetre
+static_assert(std::endian::native == std::endian::little, "the file is read in place, and it is little endian");
+static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == sizeof(Tet) && sizeof(schema::Edge) == sizeof(Edge) &&
+              sizeof(schema::Gradients) == sizeof(Gradients) && sizeof(schema::Skin) == sizeof(Skin));
+
+[[noreturn]] void refuse(const std::string& name, const std::string& fact) {
+  throw std::runtime_error(name + ": " + fact + "; bake the car again with `crumple bake`.");
+}
+
+template <class Ours, class Theirs>
+std::span<const Ours> view(const flatbuffers::Vector<Theirs>* list) {
+  return {reinterpret_cast<const Ours*>(list->Data()), list->size()};
+}
+
+// A float is finite when its exponent is not all ones; 0 for a list of finite numbers.
+uint32_t not_finite(const void* data, size_t count) {
+  uint32_t found = 0;
+  const auto* bits = static_cast<const uint32_t*>(data);
+  for (size_t i = 0; i < count; ++i) found |= (bits[i] & 0x7f800000u) == 0x7f800000u;
+  return found;
+}
+
+template <class T>
+bool finite(std::span<const T> list) {
+  return !not_finite(list.data(), list.size_bytes() / sizeof(float));
+}
+
+// Finite and above zero: as bits, 1 .. 0x7f7fffff.
+bool positive(std::span<const float> list) {
+  uint32_t bad = 0;
+  for (float value : list) bad |= std::bit_cast<uint32_t>(value) - 1u >= 0x7f7fffffu;
+  return !bad;
+}
+
+template <class T>
+bool below(std::span<const T> list, uint32_t limit) {
+  uint32_t bad = 0;
+  for (T value : list) bad |= value >= limit;
+  return !bad;
+}
+
+bool tets_are_sound(const Model& model) {
+  const auto n = static_cast<uint32_t>(model.node.size());
+  uint32_t bad = 0;
+  for (const Tet& tet : model.tet) {
+    const auto [a, b, c, d] = tet.node;
+    bad |= (a >= n) | (b >= n) | (c >= n) | (d >= n) | (a == b) | (a == c) | (a == d) | (b == c) | (b == d) | (c == d);
+  }
+  return !bad;
+}
+
+bool edges_are_sound(const Model& model) {
+  const auto n = static_cast<uint32_t>(model.node.size());
+  uint32_t bad = 0;
+  for (const Edge& edge : model.edge) bad |= (edge.node[0] >= edge.node[1]) | (edge.node[1] >= n);
+  return !bad;
+}
+
+// Every node lists exactly the corners it is: bounds are checked before anything is looked up through them.
+bool corners_are_sound(const Model& model) {
+  const size_t n = model.node.size(), count = 4 * model.tet.size();
+  if (model.node_first.front() != 0 || model.node_first.back() != count) return false;
+  uint32_t bad = 0;
+  for (size_t i = 0; i < n; ++i) bad |= model.node_first[i] >= model.node_first[i + 1];
+  for (uint32_t corner : model.corner) bad |= corner >= count;
+  if (bad) return false;
+  for (size_t i = 0; i < n; ++i) {
+    uint32_t before = 0;  // corners ascend, so none is listed twice
+    for (uint32_t k = model.node_first[i]; k < model.node_first[i + 1]; ++k) {
+      const uint32_t corner = model.corner[k];
+      bad |= (model.tet[corner / 4].node[corner % 4] != i) | (k > model.node_first[i] && corner <= before);
+      before = corner;
+    }
+  }
+  return !bad;
+}
+
+bool skin_is_sound(const Model& model) {
+  const auto n = static_cast<uint32_t>(model.node.size());
+  uint32_t bad = 0;
+  for (const Skin& skin : model.skin) {
+    float sum = 0, size = 1;
+    for (int k = 0; k < 4; ++k) {
+      bad |= skin.node[k] >= n;
+      sum += skin.weight[k];
+      size += std::abs(skin.weight[k]);
+    }
+    bad |= !(size < largest_weight && std::abs(sum - 1) <= 1e-5f * size);  // also for NaN
+  }
+  return !bad;
+}
+
+void check_sizes(const Model& m, size_t regions, const std::string& name) {
+  const auto limit = [&](size_t size, size_t most, const char* what) {
+    if (size == 0) refuse(name, std::string("it has no ") + what);
+    if (size > most)
+      refuse(name, "it has " + std::to_string(size) + " " + what + ", more than the " + std::to_string(most) + " allowed");
+  };
+  limit(m.node.size(), max_nodes, "nodes");
+  limit(m.tet.size(), max_tets, "tets");
+  limit(m.vertex.size(), max_vertices, "surface vertices");
+  limit(m.triangle.size() / 3, 2 * max_vertices, "triangles");
+  limit(regions, max_regions, "regions");
+  const size_t n = m.node.size(), t = m.tet.size();
+  const bool fits = m.node_mass.size() == n && m.node_region.size() == n && m.node_anchored.size() == n &&
+                    m.node_first.size() == n + 1 && m.gradients.size() == t && m.tet_rest.size() == t &&
+                    m.tet_region.size() == t && m.corner.size() == 4 * t && !m.edge.empty() && m.edge.size() <= 6 * t &&
+                    m.edge_rest.size() == m.edge.size() && m.skin.size() == m.vertex.size() && m.triangle.size() % 3 == 0;
+  if (!fits) refuse(name, "its lists do not have matching lengths");
+}
+
+void check(const Model& m, size_t regions, const std::string& name) {
+  check_sizes(m, regions, name);
+  const auto demand = [&](bool good, const char* fact) {
+    if (!good) refuse(name, fact);
+  };
+  const auto region_count = static_cast<uint32_t>(regions);
+  demand(finite(m.node) && finite(m.vertex), "a position is not a finite number");
+  demand(positive(m.node_mass), "a node's mass is not above zero");
+  demand(below(m.node_region, region_count) && below(m.tet_region, region_count), "it names a region that it does not have");
+  demand(below(m.node_anchored, 2), "an anchor flag is neither 0 nor 1");
+  demand(tets_are_sound(m), "a tet names a node that does not exist or names one twice");
+  demand(finite(m.gradients) && positive(m.tet_rest), "a tet's rest volume is not above zero or its gradients are not finite");
+  demand(edges_are_sound(m), "an edge names a node that does not exist or its nodes are out of order");
+  demand(positive(m.edge_rest), "an edge's rest length is not above zero");
+  demand(corners_are_sound(m), "the list of the tets around each node does not agree with the tets");
+  demand(below(m.triangle, static_cast<uint32_t>(m.vertex.size())), "a triangle names a vertex that does not exist");
+  demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights do not sum to 1");
+  const float inertia[3] = {m.inertia.x(), m.inertia.y(), m.inertia.z()};
+  demand(positive({&m.mass, 1}) && positive(inertia) && m.center_of_mass.allFinite(),
+         "its mass, inertia or centre of mass is not a sensible number");
+}
+
+std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::string& name, std::shared_ptr<const void> owner) {
+  const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
+  if (bytes.size() < 8 || !schema::CarBufferHasIdentifier(data)) refuse(name, "this is not a baked car");
+  if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) refuse(name, "it is larger than 2 GB");
+  flatbuffers::Verifier verifier(data, bytes.size());
+  if (!schema::VerifyCarBuffer(verifier)) refuse(name, "the file is cut off or damaged");
+  const schema::Car& file = *schema::GetCar(data);
+  if (file.version() != current_version)
+    refuse(name, "it has version " + std::to_string(file.version()) + ", this program reads version " +
+                     std::to_string(current_version));
+  if (!file.center_of_mass() || !file.inertia()) refuse(name, "its centre of mass or inertia is missing");
+
+  auto car = std::make_shared<Car>();
+  car->bytes = bytes;
+  car->owner = std::move(owner);
+  car->name = file.name()->str();
+  car->attribution = file.attribution()->str();
+  for (const auto* region : *file.region()) car->regions.push_back(region->str());
+  car->model = {
+      .node = view<Vec3>(file.node()),
+      .node_mass = view<float>(file.node_mass()),
+      .node_region = view<uint8_t>(file.node_region()),
+      .node_anchored = view<uint8_t>(file.node_anchored()),
+      .tet = view<Tet>(file.tet()),
+      .gradients = view<Gradients>(file.tet_gradients()),
+      .tet_rest = view<float>(file.tet_rest()),
+      .tet_region = view<uint8_t>(file.tet_region()),
+      .edge = view<Edge>(file.edge()),
+      .edge_rest = view<float>(file.edge_rest()),
+      .node_first = view<uint32_t>(file.node_first()),
+      .corner = view<uint32_t>(file.corner()),
+      .vertex = view<Vec3>(file.vertex()),
+      .triangle = view<uint32_t>(file.triangle()),
+      .skin = view<Skin>(file.skin()),
+      .mass = file.mass(),
+      .center_of_mass = {file.center_of_mass()->x(), file.center_of_mass()->y(), file.center_of_mass()->z()},
+      .inertia = {file.inertia()->x(), file.inertia()->y(), file.inertia()->z()},
+  };
+  check(car->model, car->regions.size(), name);
+
+  char hash[17];
+  std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
+  car->hash = hash;
+  return car;
+}
+
+struct Descriptor {
+  int number;
+  ~Descriptor() {
+    if (number >= 0) close(number);
+  }
+};
+
+}  // namespace
+
+std::shared_ptr<const Car> load_car(const std::filesystem::path& file) {
+  const std::string name = file.string();
+  const Descriptor descriptor{open(file.c_str(), O_RDONLY | O_CLOEXEC)};
+  struct stat info {};
+  if (descriptor.number < 0 || fstat(descriptor.number, &info) != 0)
+    throw std::runtime_error(name + ": it cannot be opened (" + std::strerror(errno) +
+                             "); make it with `crumple bake` or name another file.");
+  if (!S_ISREG(info.st_mode)) refuse(name, "this is not a file");
+  const auto size = static_cast<size_t>(info.st_size);
+  if (size == 0) refuse(name, "the file is empty");
+  void* start = mmap(nullptr, size, PROT_READ, MAP_PRIVATE | MAP_POPULATE, descriptor.number, 0);
+  if (start == MAP_FAILED) refuse(name, std::string("it cannot be mapped into memory (") + std::strerror(errno) + ")");
+  std::shared_ptr<const void> owner(start, [size](const void* mapped) { munmap(const_cast<void*>(mapped), size); });
+  return read({static_cast<const std::byte*>(start), size}, name, std::move(owner));
+}
+
+std::shared_ptr<const Car> read_car(std::span<const std::byte> bytes, const std::string& name) {
+  // Vectors of the file are aligned to its start; `new` aligns to 16.
+  auto copy = std::make_shared<std::vector<std::byte>>(bytes.begin(), bytes.end());
+  return read(*copy, name, copy);
+}
+
+}  // namespace crumple

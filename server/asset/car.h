@@ -1,0 +1,38 @@
+// A baked car: the file in memory and the views onto it. Built by bake (or read from a file, an attachment, a reply), then
+// immutable and shared by every instance.
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "sim/model.h"
+
+namespace crumple {
+
+// Limits on a baked car: what a tick of one car can still be computed for, and what indices can address.
+inline constexpr uint32_t max_nodes = 200'000;
+inline constexpr uint32_t max_tets = 1'000'000;
+inline constexpr uint32_t max_vertices = 200'000;
+inline constexpr uint32_t max_regions = 16;
+
+struct Car {
+  Model model;
+  std::string name;
+  std::string attribution;
+  std::vector<std::string> regions;
+  std::string hash;                  // 16 hexadecimal digits: XXH64 of the bytes
+  std::span<const std::byte> bytes;  // the whole file
+  std::shared_ptr<const void> owner; // keeps the bytes (a mapping or a buffer) alive
+};
+
+// Maps the file and checks every size and index, so that nothing behind it needs to.
+// Throws std::runtime_error with one sentence: file, fact, remedy.
+std::shared_ptr<const Car> load_car(const std::filesystem::path& file);
+
+// The same for bytes from elsewhere; `name` stands for the file in messages. Copies them.
+std::shared_ptr<const Car> read_car(std::span<const std::byte> bytes, const std::string& name);
+
+}  // namespace crumple

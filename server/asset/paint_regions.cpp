@@ -1,0 +1,244 @@
+#include "asset/paint_regions.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <iterator>
+#include <map>
+#include <stdexcept>
+
+#include "asset/car.h"
+#include "asset/nearest.h"
+#include "asset/regions_schema.h"  // generated: the text of schema/geometry.fbs and schema/regions.fbs
+#include "asset/script.h"
+#include "schema/regions_generated.h"
+
+namespace crumple {
+namespace {
+
+// Shares of the length left free at either end, and depths under the skin, m: frontal crush was the same within 0.15-0.25 and
+// 0.1-0.3; the shallower ones are for bodies with no room for the first.
+constexpr float free_end = 0.18f;
+constexpr double cell_depths[] = {0.20, 0.15, 0.10, 0.05, 0.02};
+
+std::string number(double value, const char* format = "%.3g") {
+  char text[32];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+// ---- regions ---------------------------------------------------------------------------------------------------------
+
+uint8_t region_index(Regions& regions, const std::string& name, const std::string& source) {
+  const auto found = std::find(regions.name.begin(), regions.name.end(), name);
+  if (found != regions.name.end()) return static_cast<uint8_t>(found - regions.name.begin());
+  if (regions.name.size() == max_regions)
+    throw std::runtime_error(source + ": it makes more than the " + std::to_string(max_regions) +
+                             " regions that a car may have, \"body\" among them; use fewer.");
+  regions.name.push_back(name);
+  return static_cast<uint8_t>(regions.name.size() - 1);
+}
+
+// Each node takes the colour of the nearest vertex; white is "body".
+void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& regions, std::vector<std::string>& report) {
+  if (surface.color.empty()) return;
+  std::map<uint32_t, uint8_t> region_of;
+  for (uint32_t color : surface.color) region_of[color] = 0;
+  for (auto& [color, region] : region_of) {
+    char name[8];
+    std::snprintf(name, sizeof name, "#%06x", color & 0xffffffu);
+    if (color != 0xffffff) region = region_index(regions, name, "the surface's vertex colours");
+  }
+  std::vector<Box> boxes;
+  for (const Vec3& vertex : surface.vertex) boxes.emplace_back(vertex.cast<double>().eval());
+  const BoxTree tree = build_tree(boxes);
+  for (size_t i = 0; i < mesh.node.size(); ++i) {
+    const Eigen::Vector3d point = mesh.node[i].cast<double>();
+    const auto measure = [&](uint32_t vertex) { return (surface.vertex[vertex].cast<double>() - point).squaredNorm(); };
+    regions.node_region[i] = region_of[surface.color[find_nearest(tree, point, measure).index]];
+  }
+  report.push_back("painted by " + std::to_string(region_of.size()) + " vertex colours");
+}
+
+// FlatBuffers' own parser turns the JSON into a table. As a child: the library that the package brings cannot be linked into a
+// position-independent program.
+std::vector<uint8_t> parse_regions(const std::filesystem::path& file) {
+  const TemporaryFolder folder;
+  const auto text = [](const char* schema) { return std::span(schema, std::strlen(schema)); };
+  write_array<char>(folder.path / "geometry.fbs", text(geometry_schema));
+  write_array<char>(folder.path / "regions.fbs", text(regions_schema));
+  std::error_code error;
+  std::filesystem::copy_file(file, folder.path / "regions.json", error);
+  if (error)
+    throw std::runtime_error(file.string() + ": the regions file cannot be read (" + error.message() + "); check the path.");
+  std::string why;
+  const auto keep = [&](const std::string& line) {
+    if (const size_t at = line.find("regions.json:"); at != std::string::npos) why = line.substr(at + 13);
+  };
+  const std::string output = folder.path.string();
+  const int status = run_program({CRUMPLE_FLATC, "--binary", "-o", output, output + "/regions.fbs", output + "/regions.json"}, keep);
+  std::vector<uint8_t> bytes;
+  if (status == 0) bytes = read_array<uint8_t>(folder.path / "regions.bin");
+  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
+  if (bytes.empty() || !schema::VerifyPaintRegionsBuffer(verifier))
+    throw std::runtime_error(file.string() + ": the regions file is not what schema/regions.fbs describes" +
+                             (why.empty() ? "" : " (line" + why + ")") + "; the example there shows how it should look.");
+  return bytes;
+}
+
+struct Shape {
+  Eigen::AlignedBox3f box;  // half extents about the origin; empty: a sphere
+  Eigen::Quaternionf orientation = Eigen::Quaternionf::Identity();
+  Vec3 center = Vec3::Zero();
+  float radius = 0;
+  bool holds(const Vec3& point) const {
+    if (box.isEmpty()) return (point - center).squaredNorm() <= radius * radius;
+    return box.contains(orientation.conjugate() * (point - center));
+  }
+};
+
+Vec3 vec3(const schema::Vec3& v) { return {v.x(), v.y(), v.z()}; }
+
+Shape read_shape(const schema::PaintRegion& region, const std::string& where) {
+  const auto refuse = [&](const char* fact) { throw std::runtime_error(where + " " + fact); };
+  Shape shape;
+  if (!region.box() == !region.sphere()) refuse("needs a box or a sphere, and only one of them.");
+  if (const auto* sphere = region.sphere()) {
+    shape.center = vec3(*sphere->center());
+    shape.radius = sphere->radius();
+    if (!(shape.radius > 0 && std::isfinite(shape.radius))) refuse("needs a sphere with a radius above zero, in metres.");
+  }
+  if (const auto* box = region.box()) {
+    const Vec3 half = vec3(*box->half());
+    shape.center = vec3(*box->center());
+    if (!(half.minCoeff() > 0) || !half.allFinite()) refuse("needs a box with half extents above zero, in metres.");
+    shape.box = Eigen::AlignedBox3f(-half, half);
+    if (const auto* q = box->orientation()) {
+      shape.orientation = Eigen::Quaternionf(q->w(), q->x(), q->y(), q->z());
+      if (!(std::abs(shape.orientation.norm() - 1) < 1e-3f)) refuse("needs an orientation that is a unit quaternion.");
+      shape.orientation.normalize();
+    }
+  }
+  if (!shape.center.allFinite()) refuse("needs a centre of finite numbers, in metres.");
+  return shape;
+}
+
+void paint_by_file(const TetMesh& mesh, const std::filesystem::path& file, Regions& regions, std::vector<std::string>& report) {
+  const std::vector<uint8_t> bytes = parse_regions(file);
+  const auto* list = schema::GetPaintRegions(bytes.data())->regions();
+  for (const auto* region : *list) {
+    const std::string name = region->name()->str();
+    const Shape shape = read_shape(*region, file.string() + ": region \"" + name + "\"");
+    const uint8_t index = region_index(regions, name, file.string());
+    size_t painted = 0;
+    for (size_t i = 0; i < mesh.node.size(); ++i) {
+      if (!shape.holds(mesh.node[i])) continue;
+      regions.node_region[i] = index;
+      regions.node_anchored[i] = region->anchored();
+      ++painted;
+    }
+    if (painted == 0)
+      throw std::runtime_error(file.string() + ": region \"" + name +
+                               "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
+    report.push_back("region \"" + name + "\": " + std::to_string(painted) + " nodes" + (region->anchored() ? ", anchored" : ""));
+  }
+}
+
+// ---- the default safety cell -------------------------------------------------------------------------------------------
+
+// How deep under the body's outside each node between the ends lies, m; -1 for nodes of the ends.
+std::vector<double> depths(const TetMesh& mesh) {
+  const std::vector<Triangle> outside = boundary(mesh);
+  std::vector<Box> boxes(outside.size());
+  for (size_t i = 0; i < boxes.size(); ++i)
+    for (uint32_t node : outside[i]) boxes[i].extend(mesh.node[node].cast<double>());
+  const BoxTree tree = build_tree(boxes);
+  Eigen::AlignedBox3f body;
+  for (const Vec3& node : mesh.node) body.extend(node);
+  const float length = body.sizes().x();
+  std::vector<double> out(mesh.node.size(), -1);
+  for (size_t i = 0; i < out.size(); ++i) {
+    const float x = mesh.node[i].x();
+    if (x < body.min().x() + free_end * length || x > body.max().x() - free_end * length) continue;
+    const Eigen::Vector3d point = mesh.node[i].cast<double>();
+    const auto measure = [&](uint32_t triangle) {
+      const auto [a, b, c] = outside[triangle];
+      return squared_distance_to_triangle(point, mesh.node[a].cast<double>(), mesh.node[b].cast<double>(),
+                                          mesh.node[c].cast<double>());
+    };
+    out[i] = std::sqrt(find_nearest(tree, point, measure).squared_distance);
+  }
+  return out;
+}
+
+void anchor_default_cell(const TetMesh& mesh, Regions& regions, std::vector<std::string>& report) {
+  const std::vector<double> depth = depths(mesh);
+  for (double deepest : cell_depths) {
+    const auto count = std::count_if(depth.begin(), depth.end(), [&](double d) { return d > deepest; });
+    if (count == 0) continue;
+    const uint8_t cell = region_index(regions, "cell", "the default safety cell");
+    for (size_t i = 0; i < depth.size(); ++i) {
+      if (depth[i] <= deepest) continue;
+      regions.node_anchored[i] = 1;
+      if (regions.node_region[i] == 0) regions.node_region[i] = cell;
+    }
+    report.push_back("safety cell: " + std::to_string(count) + " nodes anchored, deeper than " + number(deepest, "%.2f") +
+                     " m under the skin, " + number(100 * free_end, "%.0f") + " % of the length left free at either end" +
+                     (deepest == cell_depths[0] ? "" : " (none lay deeper)"));
+    return;
+  }
+  throw std::runtime_error(
+      "no node lies deeper than " + number(std::end(cell_depths)[-1]) +
+      " m inside the body, so there is no safety cell to hold it; anchor a part with --regions FILE or bake with more --nodes.");
+}
+
+// ---- what hangs together -----------------------------------------------------------------------------------------------
+
+void report_loose_parts(const TetMesh& mesh, const Regions& regions, std::vector<std::string>& report) {
+  const std::vector<uint32_t> part_of = connected(mesh.node.size(), {mesh.tet.data()->node, 4 * mesh.tet.size()}, 4);
+  std::map<uint32_t, std::pair<size_t, size_t>> parts;  // nodes, anchored nodes
+  for (uint32_t i = 0; i < part_of.size(); ++i) {
+    auto& [nodes, anchored] = parts[part_of[i]];
+    ++nodes;
+    anchored += regions.node_anchored[i];
+  }
+  std::vector<size_t> loose;
+  for (const auto& [first, part] : parts)
+    if (part.second == 0) loose.push_back(part.first);
+  if (loose.empty()) return;
+  std::sort(loose.rbegin(), loose.rend());
+  std::string sizes;
+  for (size_t i = 0; i < std::min<size_t>(loose.size(), 5); ++i) sizes += (i ? ", " : "") + std::to_string(loose[i]);
+  report.push_back(std::to_string(loose.size()) + " of " + std::to_string(parts.size()) +
+                   " parts of the body hang on nothing anchored (nodes: " + sizes + (loose.size() > 5 ? ", ..." : "") +
+                   "): nothing holds them when they are hit");
+}
+
+uint8_t most_common(const Tet& tet, const std::vector<uint8_t>& node_region) {
+  uint8_t best = 0;
+  int most = 0;
+  for (uint32_t node : tet.node) {
+    const uint8_t region = node_region[node];
+    int count = 0;
+    for (uint32_t other : tet.node) count += node_region[other] == region;
+    if (count > most || (count == most && region < best)) best = region, most = count;
+  }
+  return best;
+}
+
+}  // namespace
+
+Regions paint_regions(const TetMesh& mesh, const Surface& surface, const std::filesystem::path& regions_file,
+                      std::vector<std::string>& report) {
+  Regions regions{{"body"}, std::vector<uint8_t>(mesh.node.size(), 0), std::vector<uint8_t>(mesh.node.size(), 0), {}};
+  paint_by_color(mesh, surface, regions, report);
+  if (!regions_file.empty()) paint_by_file(mesh, regions_file, regions, report);
+  const auto anchored = std::count(regions.node_anchored.begin(), regions.node_anchored.end(), 1);
+  if (anchored == 0) anchor_default_cell(mesh, regions, report);
+  report_loose_parts(mesh, regions, report);
+  for (const Tet& tet : mesh.tet) regions.tet_region.push_back(most_common(tet, regions.node_region));
+  return regions;
+}
+
+}  // namespace crumple

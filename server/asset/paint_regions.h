@@ -1,0 +1,27 @@
+// Which part of the car each node belongs to, and which nodes are held on its pose (the safety cell). In this order:
+// everything is "body"; vertex colours paint; a regions file paints; and unless that file anchors something, the default cell
+// is anchored: the core between the axles, deep under the skin, as in a real car (without it a body slides through its own
+// pose instead of crushing).
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "asset/mesh.h"
+
+namespace crumple {
+
+struct Regions {
+  std::vector<std::string> name;       // region 0 is "body"
+  std::vector<uint8_t> node_region;    // n
+  std::vector<uint8_t> node_anchored;  // n
+  std::vector<uint8_t> tet_region;     // t: that of most of its corners, the lowest of equals
+};
+
+// regions_file: JSON as in schema/regions.fbs; empty: none. Appends what it did to `report`.
+// Throws std::runtime_error with a sentence when the file is wrong or no node is left to anchor.
+Regions paint_regions(const TetMesh&, const Surface&, const std::filesystem::path& regions_file,
+                      std::vector<std::string>& report);
+
+}  // namespace crumple

@@ -1,0 +1,116 @@
+// Commands on a car: spawn, despawn, repair, parameters, save, load. Each is done whole or refused with a sentence.
+#include "state.h"
+#include "wire/encode.h"
+
+namespace crumple {
+namespace {
+
+// The car a command is for.
+struct Target {
+  const std::string& id;
+  Instance& car;
+};
+
+Mass mass_of(const SpawnOrder& order, const Model& model) {
+  Mass mass;
+  const double share = order.mass > 0 ? order.mass / double(model.mass) : 1;
+  mass.mass = order.mass > 0 ? order.mass : double(model.mass);
+  mass.inertia = order.inertia ? *order.inertia : Eigen::Vector3d(share * model.inertia.cast<double>());
+  mass.center = order.center_of_mass ? *order.center_of_mass : Eigen::Vector3d(model.center_of_mass.cast<double>());
+  mass.planar = order.planar;
+  return mass;
+}
+
+Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
+  if (world.cars.contains(id)) return Refusal{Reason::already_there, "spawn: car " + id + " lives already; despawn it first"};
+  if (world.cars.size() >= world.limits.cars) {
+    return Refusal{Reason::too_many_cars, "spawn: car " + id + " would be one more than the " +
+                                              std::to_string(world.limits.cars) +
+                                              " cars that are allowed; despawn another first"};
+  }
+  const auto asset = world.assets.find(order.asset);
+  if (asset == world.assets.end()) {
+    return Refusal{
+        Reason::unknown_asset,
+        "spawn: asset " + order.asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
+  }
+  Host* host = find_or_add_host(world, order.host);
+  if (!host) {
+    return Refusal{Reason::too_many_hosts, "spawn: host " + order.host + " would be one more than the " +
+                                               std::to_string(world.limits.hosts) + " hosts that are allowed"};
+  }
+  ++host->cars;
+  Instance& car = world.cars[id];
+  car.car = asset->second;
+  car.host = order.host;
+  car.mass = mass_of(order, car.car->model);
+  car.body = make_body(car.car->model);
+  car.motion.pose = order.pose;
+  return std::nullopt;
+}
+
+Verdict obey_order(World& world, const Target& target, DespawnOrder&&, Bytes&) {
+  const std::string host = target.car.host;
+  world.cars.erase(world.cars.find(target.id));
+  --world.hosts.at(host).cars;
+  release_host(world, host);
+  return std::nullopt;
+}
+
+Verdict obey_order(World&, const Target& target, RepairOrder&& order, Bytes&) {
+  repair(target.car.car->model, order.amount, target.car.body);
+  target.car.told.due = true;
+  return std::nullopt;
+}
+
+Verdict obey_order(World&, const Target& target, ParametersOrder&& order, Bytes&) {
+  const auto regions = int(target.car.car->regions.size());
+  if (order.region >= regions) {
+    return Refusal{Reason::out_of_range, "parameters.region is " + std::to_string(order.region) +
+                                             "; this car's regions are 0 to " + std::to_string(regions - 1) +
+                                             ", or -1 for all"};
+  }
+  Parameters parameters = target.car.parameters;
+  apply(order, parameters);
+  if (auto sentence = out_of_range(parameters)) return Refusal{Reason::out_of_range, "parameters." + *sentence};
+  target.car.parameters = parameters;
+  return std::nullopt;
+}
+
+Verdict obey_order(World&, const Target& target, SaveOrder&&, Bytes& state) {
+  state = encode_state(target.car.car->hash, target.car.body);
+  return std::nullopt;
+}
+
+Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
+  const Car& car = *target.car.car;
+  if (order.asset != car.hash) {
+    return Refusal{Reason::bad_state, "load.state.asset is " + order.asset + "; car " + target.id + " is of asset " + car.hash};
+  }
+  if (auto sentence = refuse_state(car.model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
+  Body& body = target.car.body;
+  const double absorbed = body.absorbed;
+  body = std::move(order.state);
+  body.step.assign(body.node.size(), Vec3::Zero());
+  body.absorbed = absorbed;
+  body.settled = false;  // what is stored in it is found, and let go, in the next tick
+  measure_reach(car.model, body);
+  target.car.told.due = true;
+  return std::nullopt;
+}
+
+Verdict obey_order(World&, const Target&, SpawnOrder&&, Bytes&) { return std::nullopt; }
+
+}  // namespace
+
+Verdict obey(World& world, const std::string& id, Order&& order, Bytes& state) {
+  if (const auto* spawn_order = std::get_if<SpawnOrder>(&order)) return spawn(world, id, *spawn_order);
+  const auto found = world.cars.find(id);
+  if (found == world.cars.end()) {
+    return Refusal{Reason::unknown_car, "car " + id + " does not live here; spawn it first"};
+  }
+  const Target target{found->first, found->second};
+  return std::visit([&](auto&& which) { return obey_order(world, target, std::move(which), state); }, std::move(order));
+}
+
+}  // namespace crumple

@@ -1,0 +1,127 @@
+#include "film.h"
+
+#include <chrono>
+#include <cstdio>
+#include <map>
+#include <optional>
+#include <stdexcept>
+
+#include "answer.h"
+#include "cpp/surface.h"
+#include "recording.h"
+#include "schema/message_generated.h"
+#include "wire/surface.h"
+
+namespace crumple {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct Film {
+  Film(const std::string& path, Net* session) : file(path), net(session), root("crumple/1/" + file.head().scene + "/") {
+    net_announce(net, (root + "server").c_str());
+  }
+  // For the viewers the next showing is another server: its ticks begin anew.
+  ~Film() {
+    for (const auto& [car, surface] : cars) net_retract(net, (root + car).c_str());
+    net_retract(net, (root + "server").c_str());
+  }
+  Film(const Film&) = delete;
+  Film& operator=(const Film&) = delete;
+
+  RecordingReader file;
+  Net* net;
+  std::string root;
+  std::map<std::string, client::Surface, std::less<>> cars;  // by "car/{id}": what a viewer of the film holds now
+  std::string despawning;                                    // its Command came, its Answer did not
+};
+
+// The keyframe that the next deltas refer to, whole.
+void answer_key(Film& film, const NetEvent& query) {
+  std::string_view key = query.key;
+  if (key.starts_with(film.root)) key.remove_prefix(film.root.size());
+  key = key.substr(0, key.rfind('/'));
+  const auto car = film.cars.find(key);
+  if (car == film.cars.end() || car->second.key.empty()) {
+    const std::string sentence = std::string(key) + " does not live at this point of the recording";
+    net_reply(film.net, query.ticket, sentence.data(), sentence.size(), 1);
+    return;
+  }
+  const client::Surface& surface = car->second;
+  const auto parts = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key,
+                                     static_cast<uint32_t>(surface.key.size() / 3));
+  net_reply(film.net, query.ticket, parts.front().data(), parts.front().size(), 0);
+}
+
+void answer_until(Film& film, Clock::time_point due, const std::atomic<bool>& stop) {
+  NetEvent events[64];
+  for (;;) {
+    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(due - Clock::now());
+    if (left.count() <= 0 || stop) return;
+    const int got = net_poll(film.net, events, 64, static_cast<uint64_t>(left.count()));
+    if (got < 0) throw std::runtime_error(transport_error());
+    for (int i = 0; i < got; ++i) {
+      if (events[i].kind != NET_QUERY) continue;
+      if (std::string_view(events[i].key).starts_with("crumple/1/asset/"))
+        answer_asset(film.net, events[i], film.file.head().cars);
+      else
+        answer_key(film, events[i]);
+    }
+  }
+}
+
+// Follows the state of the cars; says to viewers which of them live.
+void follow(Film& film, const RecordingReader::Item& item) {
+  if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
+    const std::string car(item.key.substr(0, item.key.find('/', 4)));
+    const auto [at, fresh] = film.cars.try_emplace(car);
+    static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, at->second)
+                                                        : client::apply_delta(item.bytes, at->second));
+    if (fresh) net_announce(film.net, (film.root + car).c_str());
+  } else if (item.channel == Channel::command) {
+    flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
+    if (verifier.VerifyBuffer<schema::Command>(nullptr) &&
+        flatbuffers::GetRoot<schema::Command>(item.bytes.data())->order_type() == schema::Order::Despawn)
+      film.despawning = item.key;
+  } else if (item.channel == Channel::answer && item.key == film.despawning + "/answer") {
+    flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
+    if (verifier.VerifyBuffer<schema::Answer>(nullptr) && flatbuffers::GetRoot<schema::Answer>(item.bytes.data())->ok() &&
+        film.cars.erase(film.despawning) > 0)
+      net_retract(film.net, (film.root + film.despawning).c_str());
+    film.despawning.clear();
+  }
+}
+
+void show(const std::string& path, const ReplayOptions& options, Net* net, const std::atomic<bool>& stop) {
+  Film film(path, net);
+  std::printf("%s: scene %s at %s, speed %g\n", path.c_str(), film.file.head().scene.c_str(), net_endpoint(net), options.speed);
+  std::fflush(stdout);
+  const auto begun = Clock::now();
+  std::optional<uint64_t> first;
+  for (RecordingReader::Item item; !stop && film.file.next(item);) {
+    if (!first) first = item.time_ns;
+    const double at = 1e-9 * static_cast<double>(item.time_ns - std::min(item.time_ns, *first));
+    follow(film, item);
+    const bool shown = item.channel == Channel::reactions || item.channel == Channel::keyframe ||
+                       item.channel == Channel::delta || item.channel == Channel::health;
+    if (!shown || at < options.from) continue;
+    const double wait = (at - options.from) / options.speed;
+    answer_until(film, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(wait)), stop);
+    net_put(net, (film.root + std::string(item.key)).c_str(), item.bytes.data(), item.bytes.size(), NET_DATA);
+  }
+}
+
+}  // namespace
+
+void show_films(const ReplayOptions& options, const std::atomic<bool>& stop) {
+  Net* net = nullptr;
+  if (net_open("peer", options.listen.c_str(), nullptr, nullptr, 0, &net) < 0) throw std::runtime_error(transport_error());
+  const std::unique_ptr<Net, void (*)(Net*)> close(net, net_close);
+  net_queryable(net, "crumple/1/*/car/*/key", 1'000);
+  net_queryable(net, "crumple/1/asset/*", 1'000);
+  do
+    for (const std::string& path : options.files) show(path, options, net, stop);
+  while (options.loop && !stop);
+}
+
+}  // namespace crumple

@@ -1,0 +1,47 @@
+// What the server tells about itself: times of its rooms, counts against their limits, refusals by reason.
+#include "state.h"
+#include "wire/encode.h"
+
+namespace crumple {
+
+void count(World& world, const Refusal& refusal) {
+  ++world.tally.refusals[size_t(refusal.reason)];
+  world.tally.last_refusal = refusal.sentence;
+}
+
+uint64_t refusal_count(const World& world) {
+  uint64_t sum = 0;
+  for (uint64_t of_reason : world.tally.refusals) sum += of_reason;
+  return sum;
+}
+
+const std::string& last_refusal(const World& world) { return world.tally.last_refusal; }
+
+Message health(World& world, uint64_t late, const std::vector<std::pair<std::string, uint64_t>>& more_counts) {
+  Tally& tally = world.tally;
+  const Limits& limits = world.limits;
+  HealthReport report;
+  report.tick = world.tick;
+  report.rate = world.rate;
+  report.late = late;
+  if (world.clock && tally.ticks > 0) {
+    for (size_t i = 0; i < stage_names.size(); ++i) {
+      report.rooms.push_back({stage_names[i], tally.sum[i] / double(tally.ticks), tally.worst[i]});
+    }
+  }
+  report.counts = {
+      {"cars", world.cars.size(), limits.cars},
+      {"hosts", world.hosts.size(), limits.hosts},
+      {"obstacles", world.obstacles.size(), uint64_t(limits.hosts) * limits.obstacles_per_host},
+      {"messages", tally.messages, 0},
+      {"contacts_per_node_overflows", tally.contact_overflows, 0},
+      {"recoveries", tally.recoveries, 0},
+  };
+  for (const auto& [name, value] : more_counts) report.counts.push_back({name, value, 0});
+  for (size_t i = 0; i < reason_count; ++i) report.refusals.push_back({reason_names[i], tally.refusals[i], 0});
+  tally.ticks = 0;
+  tally.sum = tally.worst = {};
+  return {"health", encode_health(report)};
+}
+
+}  // namespace crumple

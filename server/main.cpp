@@ -1,0 +1,197 @@
+// The program: one verb per thing to do. Options in, exit code out: 0 done, 1 failed or differs, 2 wrong usage. Errors are
+// caught here and nowhere else.
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <functional>
+
+#include "bake_command.h"
+#include "cpp/drive.h"
+#include "cpp/watch.h"
+#include "info.h"
+#include "recording.h"
+#include "replay.h"
+#include "serve.h"
+
+namespace crumple {
+namespace {
+
+std::atomic<bool> stop{false};
+static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
+
+void on_signal(int) { stop = true; }
+
+const CLI::Validator is_id(
+    [](std::string& text) -> std::string {
+      const bool good =
+          !text.empty() && text.size() <= 32 &&
+          text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-") == std::string::npos;
+      return good ? "" : "\"" + text + "\" is not an id: use 1 to 32 characters of a-z A-Z 0-9 _ -";
+    },
+    "ID");
+
+using Verb = std::function<int()>;
+
+// Each of these adds one verb and gives back what it does.
+Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("bake", "Turns a surface mesh into a baked car: tetrahedra, constraints, skin, one file");
+  BakeOptions& bake = options.bake;
+  verb.add_option("INPUT", bake.input, "OBJ, glTF, GLB, STL, PLY, ...; or built-in: the car that this program makes itself")
+      ->required();
+  verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
+  verb.add_option("--nodes", bake.nodes, "wanted number of nodes, met within 15 %")
+      ->check(CLI::Range(100, 200'000))
+      ->capture_default_str();
+  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")
+      ->check(CLI::ExistingFile);
+  verb.add_option("--regions", bake.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
+      ->check(CLI::ExistingFile);
+  verb.add_option("--mass", bake.mass, "kg")->check(CLI::Range(1.0, 100'000.0))->capture_default_str();
+  const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
+  verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
+      ->check(axes);
+  verb.add_option("--up", bake.import.up, "the input's axis that points up; default: as its format says")->check(axes);
+  verb.add_option("--scale", bake.import.scale, "metres in one unit of the input")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  verb.add_option("--name", bake.name, "default: the input's file name");
+  verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
+  verb.footer(
+      "Example: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'");
+  return [&options] { return bake_command(options); };
+}
+
+Verb add_serve(CLI::App& app, ServeOptions& options) {
+  CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
+  verb.add_option("--car", options.cars, "baked cars that may be spawned")
+      ->required()
+      ->check(CLI::ExistingFile)
+      ->type_name("CAR");
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(is_id)->capture_default_str();
+  verb.add_option("--listen", options.listen,
+                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; "
+                  "tcp/0.0.0.0:7447 from the network, without any password")
+      ->capture_default_str();
+  verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
+  verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
+      ->check(CLI::Range(0, 256))
+      ->capture_default_str();
+  verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
+      ->check(CLI::Range(0.001, 100.0))
+      ->capture_default_str();
+  verb.add_option("--record", options.record, "writes the session to this file")->type_name("FILE.mcap");
+  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb.footer("Example: crumple serve --car m130.car --record today.mcap");
+  return [&options] { return serve(options, stop); };
+}
+
+Verb add_drive(CLI::App& app, client::DriveOptions& options) {
+  CLI::App& verb = *app.add_subcommand("drive", "A scripted host: drives a car into things and says what became of it");
+  verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
+  verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
+  verb.add_option("--host", options.host, "id of this host")->check(is_id)->capture_default_str();
+  verb.add_option("--id", options.id, "id of the car that is spawned")->check(is_id)->capture_default_str();
+  verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
+  verb.add_flag("--leave", options.leave, "leaves the car in the scene");
+  verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");
+  return [&options] { return client::drive(options, stop); };
+}
+
+Verb add_watch(CLI::App& app, client::WatchOptions& options) {
+  CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
+  verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(is_id);
+  verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
+  verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
+  verb.add_option("--obj", options.obj, "writes the surface that is held at the end")->type_name("FILE.obj");
+  verb.footer("Example: crumple watch --seconds 10 --obj dented.obj");
+  return [&options] { return client::watch(options, stop); };
+}
+
+Verb add_replay(CLI::App& app, ReplayOptions& options) {
+  CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
+  verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
+  CLI::Option* verify =
+      verb.add_flag("--verify", options.verify, "feeds the inputs to a fresh world; fails at the first tick that differs");
+  CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
+  verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
+  verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
+  verb.add_option("--speed", options.speed, "of --publish: 1 is as it was")
+      ->needs(publish)
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
+  verb.add_option("--from", options.from, "of --publish: seconds to skip")->needs(publish)->check(CLI::NonNegativeNumber);
+  verb.add_flag("--loop", options.loop, "of --publish: again and again, until Ctrl-C")->needs(publish);
+  verb.footer(
+      "Examples: crumple replay recordings/*.mcap --verify\n          crumple replay today.mcap --publish --speed 0.1 --loop");
+  verb.callback([verify, publish] {
+    if (verify->empty() && publish->empty()) throw CLI::RequiredError("--verify or --publish");
+  });
+  return [&options] { return replay(options, stop); };
+}
+
+Verb add_info(CLI::App& app, std::vector<std::string>& files) {
+  CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
+  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(CLI::ExistingFile);
+  verb.footer("Example: crumple info recordings/pole.mcap");
+  return [&files] { return info(files); };
+}
+
+int run(int argc, char** argv) {
+  BakeCommandOptions bake_options;
+  ServeOptions serve_options;
+  client::DriveOptions drive_options;
+  client::WatchOptions watch_options;
+  ReplayOptions replay_options;
+  std::vector<std::string> info_files;
+
+  CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
+  app.require_subcommand(1);
+  app.set_version_flag("--version", std::string("crumple ") + program_version);
+  app.footer(
+      "A session, each line in its own terminal:\n"
+      "  crumple bake built-in -o car.car\n"
+      "  crumple serve --car car.car --record today.mcap\n"
+      "  crumple watch\n"
+      "  crumple drive clients/scenes/pole.json --car car.car\n"
+      "then: crumple replay today.mcap --verify\n"
+      "Each verb explains itself: crumple VERB --help");
+  const std::vector<Verb> verbs = {add_bake(app, bake_options),     add_serve(app, serve_options),
+                                   add_drive(app, drive_options),   add_watch(app, watch_options),
+                                   add_replay(app, replay_options), add_info(app, info_files)};
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& asked) {  // --help, --version
+    return app.exit(asked);
+  } catch (const CLI::ParseError& error) {
+    const auto chosen = app.get_subcommands();
+    const std::string verb = chosen.empty() ? "" : " " + chosen.front()->get_name();
+    std::fprintf(stderr, "crumple%s: %s\nTry: crumple%s --help\n", verb.c_str(), error.what(), verb.c_str());
+    return 2;
+  }
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  const auto all = app.get_subcommands({});
+  for (size_t i = 0; i < verbs.size(); ++i)
+    if (all[i]->parsed()) return verbs[i]();
+  return 2;
+}
+
+}  // namespace
+}  // namespace crumple
+
+int main(int argc, char** argv) {
+  try {
+    return crumple::run(argc, argv);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "crumple%s%s: %s\n", argc > 1 ? " " : "", argc > 1 ? argv[1] : "", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,31 @@
+#include "reconcile.h"
+
+namespace crumple {
+
+ImpulseLog::Change ImpulseLog::since(uint64_t seen, uint64_t now) const {
+  Change sum;
+  for (uint64_t k = now > changes.size() ? now - changes.size() : 1; k < now; ++k) {
+    const Change& change = changes[k % changes.size()];
+    if (k <= seen || change.tick != k) continue;
+    sum.tick = k;
+    sum.velocity += change.velocity;
+    sum.angular_velocity += change.angular_velocity;
+  }
+  return sum;
+}
+
+Motion reconcile(const Motion& own, const Intent& intent, const ImpulseLog& log, uint64_t now, bool touching) {
+  Motion motion = intent.motion;
+  bool contact_wins = touching;
+  if (intent.seen != 0) {
+    const ImpulseLog::Change unseen = log.since(intent.seen, now);
+    motion.velocity += unseen.velocity;
+    motion.angular_velocity += unseen.angular_velocity;
+    contact_wins = contact_wins || unseen.tick != 0;
+  }
+  const bool far = (motion.pose.position - own.pose.position).norm() > teleport;
+  if (contact_wins && !far) motion.pose = own.pose;
+  return motion;
+}
+
+}  // namespace crumple

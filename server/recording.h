@@ -1,0 +1,104 @@
+// A recorded session: one MCAP file that holds everything its ticks were computed from, so that they can be computed again.
+//
+//   attachments   each car that could be spawned: name = its hash, the bytes of the baked file
+//   metadata      "crumple": program, scene, started, rate, quantum, and each limit under its name
+//   messages      topic = the key on the wire, "crumple/1/{scene}/...", schema = the FlatBuffers table, sequence = the tick
+//     .../host/{host}/poses, .../obstacles, .../car/{car} (Command)    inputs, in the order in which the tick takes them
+//     .../host/{host}/reactions, .../car/{car}/key, .../delta/0, .../health    outputs
+//     .../car/{car}/answer                                              output: Answer to the Command
+//     .../tick                                                          TickEnd
+//
+// Law: the inputs of a tick are written before it runs; its outputs and then its TickEnd after it. So a file that was cut off
+// is whole up to its last TickEnd. Queries for keyframes and assets change nothing and are not recorded.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "transport/transport.h"
+#include "world.h"
+
+namespace crumple {
+
+inline constexpr const char* program_version = "0.1.0";
+inline constexpr const char* car_media_type = "application/vnd.crumple.car";
+
+// What a fresh world is made of.
+struct RecordingHead {
+  std::string program = std::string("crumple ") + program_version;
+  std::string scene;
+  std::string started;  // UTC
+  double rate = 60;
+  float quantum = 0.0005f;
+  Limits limits;
+  std::vector<std::shared_ptr<const Car>> cars;
+};
+
+// "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.
+enum class Channel { poses, obstacles, command, reactions, keyframe, delta, answer, health, tick_end, other };
+Channel channel_of(std::string_view key);
+// Its table's name in the schema; "" for other.
+const char* table_of(Channel);
+inline bool is_input(Channel channel) { return channel <= Channel::command; }
+
+// Writes one. Never waits: what the writer's queue cannot take is counted as lost.
+class Recording {
+ public:
+  // Throws std::runtime_error if the file cannot be created.
+  Recording(const std::string& path, const RecordingHead&);
+  ~Recording();
+  Recording(const Recording&) = delete;
+  Recording& operator=(const Recording&) = delete;
+
+  void input(uint64_t tick, const Message&, uint64_t time_ns);
+  void output(uint64_t tick, const Message&, uint64_t time_ns);
+  void end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns);
+  uint64_t lost() const { return recorder_lost(recorder_); }
+  // Writes what waits. Gives the sentence of the first trouble, or "".
+  std::string close();
+
+ private:
+  bool write(const std::string& key, Channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size);
+
+  Recorder* recorder_ = nullptr;
+  std::string root_;
+  std::map<std::string, int, std::less<>> channels_;  // by key
+  std::map<std::string, int, std::less<>> schemas_;   // by table
+  uint64_t lost_inputs_ = 0;                          // of the tick being recorded
+};
+
+// Reads one, whole or cut.
+class RecordingReader {
+ public:
+  // Throws std::runtime_error: not a recording, damaged, or of another format.
+  explicit RecordingReader(const std::string& path);
+  ~RecordingReader();
+  RecordingReader(const RecordingReader&) = delete;
+  RecordingReader& operator=(const RecordingReader&) = delete;
+
+  const RecordingHead& head() const { return head_; }
+  bool cut() const { return reader_cut(reader_) == 1; }
+
+  struct Item {
+    Channel channel = Channel::other;
+    std::string_view key;  // below the scene's root
+    std::span<const uint8_t> bytes;
+    uint32_t tick = 0;
+    uint64_t time_ns = 0;
+  };
+  // The next message; false at the end. Throws if the file is damaged there.
+  bool next(Item&);
+  void rewind();
+
+ private:
+  void read_metadata();
+
+  std::string path_;
+  Reader* reader_ = nullptr;
+  RecordingHead head_;
+  std::string root_;
+};
+
+}  // namespace crumple

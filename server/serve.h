@@ -1,0 +1,25 @@
+// `crumple serve`: the world on the network. A fixed tick on an absolute schedule: what arrived before it is its inbox, what
+// it gives back is published after it; with --record both go to a file as well.
+#pragma once
+
+#include <atomic>
+#include <string>
+#include <vector>
+
+namespace crumple {
+
+struct ServeOptions {
+  std::vector<std::string> cars;                // baked files that may be spawned
+  std::string scene = "main";
+  std::string listen = "tcp/127.0.0.1:7447";    // port 0: any free one, printed
+  double rate = 60;                             // ticks a second
+  int threads = 0;                              // 0: as many as there are cores
+  double quantum_mm = 0.5;
+  std::string record;                           // file; empty: none
+  double seconds = 0;                           // ends after these; 0: by SIGINT
+};
+
+// Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.
+int serve(const ServeOptions&, const std::atomic<bool>& stop);
+
+}  // namespace crumple

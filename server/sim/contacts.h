@@ -1,0 +1,54 @@
+// Contacts: which planes keep which nodes out of which obstacles during one sub-step, in the car's frame.
+// A node starts each sub-step outside (or on) every obstacle, so the plane that separates it at the start, carried along to
+// the end, keeps it on the side it came from: however thin the obstacle and however fast, it cannot be passed.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "sim/body.h"
+#include "sim/motion.h"
+#include "sim/obstacle.h"
+
+namespace crumple {
+
+inline constexpr int contacts_per_node = 3;  // three planes pin a point; beyond that the deepest are kept
+// A contact is looked for this much before it is met, m: neighbours push nodes about within a sub-step.
+inline constexpr float contact_margin = 0.03f;
+// A node that starts inside an obstacle (one that was born there) leaves it at this speed, m/s, not at once.
+inline constexpr float push_out_speed = 10.0f;
+
+// From the car's frame to an obstacle's: local = rotation * x + translation.
+struct Relative {
+  Mat3 rotation;
+  Vec3 translation;
+};
+Relative relative(const Pose& car, const Pose& obstacle);
+
+struct Contact {
+  uint32_t node;
+  uint32_t obstacle;
+  Vec3 normal;     // unit, car's frame at the end of the sub-step
+  float offset;    // the node must keep normal . x >= offset
+  float before;    // signed distance at the start of the sub-step, m
+  float after;     // at its end, if the node stood still in the car's frame, m
+  Vec3 carried;    // where the node would be if it stuck to the obstacle
+  float friction;
+};
+
+// Nodes that can meet an obstacle within the tick.
+struct Candidates {
+  uint32_t obstacle;
+  std::vector<uint32_t> node;
+};
+
+// The coarse test and the choice of candidates, once a tick. `travel`: the car's and the obstacles' steady motions.
+void find_candidates(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds,
+                     std::vector<Candidates>& out);
+
+// Contacts of one sub-step of h seconds that starts at `start` seconds into the tick, while the car's frame goes from one pose
+// to the other; sorted by node, at most contacts_per_node each. Returns false if some node met more.
+bool find_contacts(const Body&, std::span<const Obstacle>, std::span<const Candidates>, const Pose& from, const Pose& to,
+                   double start, double h, std::vector<Contact>& out);
+
+}  // namespace crumple

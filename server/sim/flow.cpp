@@ -1,0 +1,153 @@
+#include "sim/flow.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+
+namespace crumple {
+namespace {
+
+// log and exp of our own: the C library picks a variant by processor, and these must give the same bits everywhere.
+// Errors below 1e-12 for arguments of a strain's size.
+double log_of(double x) {
+  int exponent;
+  double m = std::frexp(x, &exponent);
+  if (m < 0.70710678118654752) {
+    m *= 2;
+    --exponent;
+  }
+  const double s = (m - 1) / (m + 1), s2 = s * s;
+  double sum = 1.0 / 15;
+  for (int k = 13; k >= 1; k -= 2) sum = sum * s2 + 1.0 / k;
+  return 2 * s * sum + exponent * 0.69314718055994531;
+}
+
+double exp_of(double x) {
+  const double k = std::nearbyint(x * 1.4426950408889634);
+  const double r = x - k * 0.69314718055994531;
+  constexpr double inverse_factorial[] = {1.0,           1.0,            1.0 / 2,         1.0 / 6,         1.0 / 24,
+                                          1.0 / 120,     1.0 / 720,      1.0 / 5040,      1.0 / 40320,     1.0 / 362880,
+                                          1.0 / 3628800, 1.0 / 39916800, 1.0 / 479001600, 1.0 / 6227020800};
+  double sum = 0;
+  for (int n = 13; n >= 0; --n) sum = sum * r + inverse_factorial[n];
+  return std::ldexp(sum, int(k));
+}
+
+}  // namespace
+
+Elastic elastic(const Material& material) {
+  const float mu = material.young_modulus / (2 * (1 + material.poisson_ratio));
+  const float lambda =
+      material.young_modulus * material.poisson_ratio / ((1 + material.poisson_ratio) * (1 - 2 * material.poisson_ratio));
+  return {mu, lambda + mu, 1 + mu / (lambda + mu)};
+}
+
+YieldLaw yield_law(const Material& material) {
+  const Elastic e = elastic(material);
+  const float lambda = e.l - e.mu;
+  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield,
+          material.young_modulus * material.hardening, material.plastic_limit};
+}
+
+float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float kappa) {
+  const float norm = std::sqrt(deviator * deviator + mean * mean);
+  const float yield = law.start + law.slope * kappa;
+  const float room = law.limit - kappa;
+  if (!(norm > yield) || !(room > 0)) return 0;
+  const float stiffest = std::max(law.shear, law.bulk);
+  // Were both moduli the stiffer one, norm / (1 + k D) (1 - slope D) = yield is linear in D. That D is left of the root of the
+  // convex falling function below, from where Newton climbs to it.
+  float d = (norm - yield) / (stiffest * yield + law.slope * norm);
+  if (law.shear != law.bulk) {
+    for (int i = 0; i < 5; ++i) {
+      const float a = deviator / (1 + law.shear * d), b = mean / (1 + law.bulk * d);
+      const float left = std::sqrt(a * a + b * b);
+      const float slope = -(a * a * law.shear / (1 + law.shear * d) + b * b * law.bulk / (1 + law.bulk * d)) / left;
+      const float rest = 1 - law.slope * d;
+      const float value = left * rest - yield;
+      const float derivative = slope * rest - left * law.slope;
+      if (!(value > 0)) break;
+      d -= value / derivative;
+    }
+  }
+  // kappa grows by D times the flowed stress; no farther than its limit.
+  const float flowed = norm / (1 + stiffest * d);
+  if (d * flowed > room) d = norm > stiffest * room ? room / (norm - stiffest * room) : d;
+  return d;
+}
+
+Elastic secant(const Elastic& e, const YieldLaw& law, const Mat3& f, float kappa) {
+  const float j = f.determinant();
+  const float pressure_like = e.l * (j - e.gamma) * j;
+  // tau = mu F F^T + l (J - gamma) J I
+  const Mat3 left = f * f.transpose();
+  const float mean = e.mu * left.trace() / 3 + pressure_like;
+  const float deviator2 = e.mu * e.mu * std::max(0.0f, left.squaredNorm() - left.trace() * left.trace() / 3);
+  const float total2 = deviator2 + 3 * mean * mean;
+  const float yield = law.start + law.slope * kappa;
+  if (total2 <= yield * yield) return e;
+  const float d = plastic_multiplier(law, std::sqrt(deviator2), std::sqrt(3.0f) * std::fabs(mean), kappa);
+  const float mu = e.mu / (1 + law.shear * d);
+  const float bulk = law.bulk / (1 + law.bulk * d);
+  const float l = (bulk + mu) / 3;  // lambda + mu, from 3 K = 3 lambda + 2 mu
+  return {mu, l, 1 + mu / l};
+}
+
+float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& gradients, float& kappa) {
+  if (!(f.determinant() > 0.02f)) return 0;
+  const Elastic now = secant(e, law, f, kappa);
+  if (now.mu == e.mu && now.l == e.l) return 0;
+
+  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes;
+  const Eigen::Matrix3d right = (f.transpose() * f).cast<double>();
+  axes.compute(right);
+  const Eigen::Vector3d trial = axes.eigenvalues().cwiseMax(1e-6).unaryExpr([](double x) { return 0.5 * log_of(x); });
+  // Backward Euler for the logarithmic law is known in closed form up to one number: deviator s, mean 1 / (1 + (bulk / shear)
+  // (1/s - 1)) of the trial's. At the large strain of a trial the neo-Hookean stress differs from that law's, so s is where the
+  // former meets the yield surface, or where kappa meets its limit: by false position (Illinois), as the excess only falls with s.
+  const double mean = trial.mean(), room = std::max(0.0, double(law.limit) - kappa);
+  const Eigen::Vector3d deviator = trial.array() - mean;
+  Eigen::Vector3d strain = trial;
+  double norm = 0, grown = 0;
+  const auto excess = [&](double s) {
+    strain = (s * deviator).array() + mean * s / (s + law.bulk / law.shear * (1 - s));
+    const Eigen::Vector3d stretch = strain.unaryExpr([](double x) { return exp_of(x); });
+    const double j = stretch.prod();
+    norm = ((e.mu * stretch.cwiseAbs2()).array() + e.l * (j - e.gamma) * j).matrix().norm();
+    grown = (trial - strain).norm();
+    return std::min((norm - law.start - law.slope * (kappa + grown)) / law.shear, room - grown);
+  };
+  double low = 0, high = 1, below = excess(0), above = excess(1);
+  if (!(above > 0) || below > 0) return 0;
+  for (int pass = 0; pass < 16; ++pass) {
+    const double s = (low * above - high * below) / (above - below);
+    const double value = excess(s);
+    if (value > 0) {
+      high = s;
+      above = value;
+      below *= 0.5;
+    } else {
+      low = s;
+      below = value;
+      above *= 0.5;
+    }
+    if (std::fabs(value) < 1e-6) break;
+  }
+  // The integral of Y d(kappa).
+  const double work = 0.5 * (norm + law.start + law.slope * kappa) * grown;
+  kappa = std::min(law.limit, kappa + float(grown));
+  // Fe_new = Fe V diag(exp(strain - trial)) V^T, and the same factor moves into the rest gradients.
+  const Eigen::Vector3d ratio = (strain - trial).unaryExpr([](double x) { return exp_of(x); });
+  const Mat3 factor = (axes.eigenvectors() * ratio.asDiagonal() * axes.eigenvectors().transpose()).cast<float>();
+  for (Vec3& corner : gradients.corner) corner = factor * corner;
+  return float(std::max(0.0, work));
+}
+
+float energy_density(const Elastic& e, const Mat3& f) {
+  const float j = f.determinant();
+  const float spread = j - e.gamma;
+  const float rest = e.gamma - 1;
+  return 0.5f * (e.mu * (f.squaredNorm() - 3) + e.l * (spread * spread - rest * rest));
+}
+
+}  // namespace crumple

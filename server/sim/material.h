@@ -1,0 +1,51 @@
+// What a host may tune while the simulation runs: per car, and per region of the car. Every field states its unit, its range
+// and why the default is what it is. Out of range is refused with a sentence, never clamped.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+namespace crumple {
+
+inline constexpr int region_limit = 16;  // as asset's max_regions
+
+enum class Solver : uint8_t { nodal, classic };
+
+struct Material {
+  // Of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. Yield stress and its slope below set the
+  // crush (README, calibration); the modulus then sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
+  float young_modulus = 15e6f;
+  // Elastic, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
+  float poisson_ratio = 0.0f;
+  // Elastic strain at which flow begins, [0, 1].
+  float yield = 0.009f;
+  // Slope of yield stress over accumulated plastic strain, as a share of young_modulus, [0, 1].
+  float hardening = 0.045f;
+  // Norm of the plastic logarithmic strain that no tet exceeds, [0, 3]. 1.2: crushed to 30 % of its length.
+  float plastic_limit = 1.2f;
+  // Drag on a node against the car's frame per volume it stands for, N s/m^4, [0, 1e9]. Takes energy, so as small as the
+  // solver still converges with.
+  float viscosity = 5e3f;
+  // Of `classic` only (thesis 3.6.3, 3.8): stiffness of both constraints [0, 1]; share of a rest value kept per tick [0, 1].
+  float distance_stiffness = 1.0f;
+  float volume_stiffness = 1.0f;
+  float plasticity = 0.9f;
+
+  friend bool operator==(const Material&, const Material&) = default;
+};
+
+struct Parameters {
+  Solver solver = Solver::nodal;
+  // Sweeps per sub-step of `nodal`, iterations per tick of `classic`, [1, 1000].
+  uint16_t iterations = 20;
+  std::array<Material, region_limit> region;
+
+  friend bool operator==(const Parameters&, const Parameters&) = default;
+};
+
+// The first field out of its range as a sentence that names field, value and range; nothing if all are in range.
+[[nodiscard]] std::optional<std::string> out_of_range(const Parameters&);
+
+}  // namespace crumple

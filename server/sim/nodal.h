@@ -1,0 +1,22 @@
+// The solver `nodal`: one sub-step of quasi-static equilibrium, node by node.
+//   minimise over x  sum_i c_i/(2h) |x_i - before_i|^2 + sum_t V_t W(F_t)   subject to the contacts' planes
+// with W the stable neo-Hookean energy, its moduli lowered where the tet flows (flow.h). J is linear in one corner of a tet, so
+// the energy is exactly quadratic in one node with a positive definite 3x3 block: each visit minimises it exactly, over-relaxed
+// by 0 < omega < 2 it still never rises, inverted tets included.
+#pragma once
+
+#include "sim/scratch.h"
+
+namespace crumple {
+
+inline constexpr float relaxation = 1.5f;
+// An anchored node that an obstacle reaches yields like a spring this many times as stiff as its tets: contacts always win.
+inline constexpr float anchor_ratio = 30.0f;
+// All those springs together are no stiffer than this share of (car's mass) / h^2: the rigid motion is stepped explicitly.
+inline constexpr float anchor_share = 0.25f;
+
+// Solves one sub-step of h seconds. In: body as the last sub-step left it, scratch.before, contacts, contact_first.
+// Out: body.node, and what held each contact in scratch.held. share: h over the last sub-step's. mass: the car's, kg.
+void solve_nodal(const Model&, const Parameters&, double mass, float h, float share, Scratch&, Body&);
+
+}  // namespace crumple

@@ -1,0 +1,120 @@
+// What the server keeps between ticks. Cars and hosts stand in the order of their ids, and every loop over them runs in it.
+#pragma once
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/task_arena.h>
+
+#include <array>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "asset/car.h"
+#include "reconcile.h"
+#include "sim/deform.h"
+#include "wire/surface.h"
+#include "world.h"
+
+namespace crumple {
+
+struct Instance {
+  std::shared_ptr<const Car> car;
+  std::string host;  // whose poses move it
+  Mass mass;
+  Parameters parameters;
+  Body body;
+  Motion motion;
+  ImpulseLog log;
+  uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
+  // Of body, told.keyframe and told.latest; kept, because most cars are idle in most ticks.
+  std::array<uint64_t, 3> hashes{};
+  Told told;
+  // Of one tick.
+  std::optional<Intent> intent;  // the latest; consumed
+  Response response;
+  News news;
+};
+
+// A host lives as long as it has cars or obstacles; its sequence numbers are forgotten with it.
+struct Host {
+  std::optional<uint64_t> poses_sequence, obstacles_sequence;  // of the last message
+  uint32_t cars = 0;
+  uint32_t obstacles = 0;  // in World::obstacles, behind those of the hosts before it
+};
+
+// Times of a room over the ticks since the last health.
+enum class Stage : uint8_t { decode, contacts, solve, flow, skin, tick };
+inline constexpr std::array stage_names = {"decode", "contacts", "solve", "flow", "skin", "tick"};
+using StageTimes = std::array<double, stage_names.size()>;  // s
+
+struct Tally {
+  std::array<uint64_t, reason_count> refusals{};
+  std::string last_refusal;
+  uint64_t messages = 0;
+  uint64_t contact_overflows = 0;  // car ticks in which a node met too many obstacles
+  uint64_t recoveries = 0;         // car ticks that ended non-finite and were undone
+  uint64_t ticks = 0;              // since the last health
+  StageTimes now{}, sum{}, worst{};
+};
+
+// A worker's memory, reused from car to car.
+struct Worker {
+  ScratchHandle scratch = make_scratch();
+  std::vector<Vec3> vertex;
+  std::vector<int16_t> displacement;
+  StageTimes times{};
+};
+
+struct World {
+  double rate = 60;         // ticks a second
+  float quantum = 0.0005f;  // m
+  Limits limits;
+  std::map<std::string, std::shared_ptr<const Car>> assets;  // by hash
+  uint64_t tick = 0;                                         // ticks done, or the one being done
+  std::map<std::string, Instance> cars;
+  std::map<std::string, Host> hosts;
+  std::vector<Obstacle> obstacles;  // of all hosts: by host, then by id
+
+  Tally tally;
+  std::function<double()> clock;
+  std::optional<tbb::task_arena> arena;
+  int arena_threads = 0;
+  tbb::enumerable_thread_specific<Worker> workers;
+};
+
+// A query for a keyframe, answered when the tick is done.
+struct Asked {
+  std::string key, car;
+  uint64_t ticket;
+};
+
+// Takes the messages in, in order (inbox.cpp).
+void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
+// One command (commands.cpp). state: the answer to Save.
+[[nodiscard]] Verdict obey(World&, const std::string& car, Order&&, Bytes& state);
+// The host of this id, new where there was none; null where there are too many.
+Host* find_or_add_host(World&, const std::string& id);
+// Drops a host that has nothing left.
+void release_host(World&, const std::string& id);
+// Counts a refusal (health.cpp).
+void count(World&, const Refusal&);
+// Answers a query with a refusal; samples get no answer.
+void answer(const World&, const std::string& key, uint64_t ticket, const Verdict&, const Bytes& state, bool failed, Outbox&);
+
+// Seconds from construction to destruction, added to a room's time; nothing without a clock.
+struct Watch {
+  const std::function<double()>& clock;
+  double& seconds;
+  double start;
+  Watch(const std::function<double()>& c, double& s) : clock(c), seconds(s), start(c ? c() : 0) {}
+  ~Watch() {
+    if (clock) seconds += clock() - start;
+  }
+  Watch(const Watch&) = delete;
+  Watch& operator=(const Watch&) = delete;
+};
+
+}  // namespace crumple

@@ -1,0 +1,79 @@
+//! zenoh's configuration for a session: ours, and the caller's JSON5 laid over it. Our values and their reasons stand here.
+
+use crate::fail::{BAD_ARGUMENT, Fail};
+use serde_json::{Value, json};
+
+/// Bytes of one message, ours and what is accepted from others (zenoh's own default: 1 GiB).
+pub const MAX_MESSAGE: usize = 8 << 20;
+/// zenoh's headers on top
+const MAX_HEADERS: usize = 64 << 10;
+
+pub fn build(
+    mode: &str,
+    listen: &[&str],
+    connect: &[&str],
+    overlay: Option<&str>,
+    timeout_ms: u32,
+) -> Result<zenoh::Config, Fail> {
+    let bad = |sentence: String| Fail::new(BAD_ARGUMENT, sentence);
+    match mode {
+        "peer" if listen.is_empty() && connect.is_empty() => {
+            return Err(bad("a peer needs an endpoint to listen on, such as tcp/127.0.0.1:7447".into()));
+        }
+        "client" if connect.is_empty() || !listen.is_empty() => {
+            return Err(
+                bad("a client needs an endpoint to connect to, such as tcp/127.0.0.1:7447, and listens on none".into()),
+            );
+        }
+        "peer" | "client" => {}
+        other => return Err(bad(format!("mode is \"{other}\"; it must be \"peer\" or \"client\""))),
+    }
+    let mut config = json!({
+        "mode": mode,
+        "listen": { "endpoints": listen },
+        "connect": {
+            "endpoints": connect,
+            // after a lost connection: try again soon, then at most each second
+            "retry": { "period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2 },
+        },
+        // Who talks to whom is said by endpoints; nothing is announced to the local network.
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+        "transport": { "link": {
+            "tx": {
+                "lease": 3000, // ms until a silent peer counts as gone
+                "queue": {
+                    // batches of 64 KiB; with the default of 2, bursts of 40 cars lost samples on a healthy loopback
+                    "size": { "control": 16, "real_time": 16, "interactive_high": 16, "interactive_low": 16,
+                              "data_high": 16, "data": 16, "data_low": 16, "background": 16 },
+                    // µs; a peer that takes nothing for so long while an answer waits is disconnected (default: 5 s)
+                    "congestion_control": { "block": { "wait_before_close": 1_000_000 } },
+                },
+            },
+            "rx": { "max_message_size": MAX_MESSAGE + MAX_HEADERS },
+        } },
+    });
+    if mode == "client" {
+        config["connect"]["timeout_ms"] = json!(timeout_ms);
+        config["connect"]["exit_on_failure"] = json!(true);
+    }
+    if let Some(text) = overlay {
+        let laid: Value =
+            json5::from_str(text).map_err(|e| bad(format!("the network configuration is not valid JSON5: {e}")))?;
+        merge(&mut config, laid);
+    }
+    zenoh::Config::from_json5(&config.to_string()).map_err(|e| {
+        bad(format!("zenoh refuses the network configuration: {e}; check endpoints (tcp/HOST:PORT) and the names of its keys"))
+    })
+}
+
+/// Objects are merged key by key; anything else is replaced.
+fn merge(base: &mut Value, over: Value) {
+    match (base, over) {
+        (Value::Object(base), Value::Object(over)) => {
+            for (key, value) in over {
+                merge(base.entry(key).or_insert(Value::Null), value);
+            }
+        }
+        (base, over) => *base = over,
+    }
+}

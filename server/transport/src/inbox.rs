@@ -1,0 +1,164 @@
+//! What has arrived and was not polled yet. zenoh's threads push, one poller takes, both briefly. Every source (a
+//! subscription, a queryable, ...) has its own bound: a queue that refuses what is new, or one slot a key in which the newer
+//! replaces the older (zenoh has no such conflation). Events leave in the order in which they came.
+
+use crate::bytes::Aligned;
+use std::collections::{BTreeMap, HashMap};
+use std::ffi::CString;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Condvar, Mutex};
+use std::time::Duration;
+
+/// As NetKind in transport.h.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Kind {
+    Sample = 0,
+    Query = 1,
+    Reply = 2,
+    ReplyEnd = 3,
+    Alive = 4,
+    Gone = 5,
+}
+
+pub struct Event {
+    pub kind: Kind,
+    pub failed: bool,
+    pub key: CString,
+    pub data: Aligned,
+    pub ticket: u64,
+}
+
+pub type SourceId = usize;
+
+/// The answers to this session's own questions.
+pub const REPLIES: SourceId = 0;
+
+/// Keys that may wait in one latest-only subscription: a peer that invents keys must not fill the memory.
+const MAX_LATEST_KEYS: usize = 4096;
+
+struct Source {
+    depth: usize, // 0: latest only
+    waiting: usize,
+    latest: HashMap<CString, u64>,
+}
+
+impl Source {
+    fn is_full(&self) -> bool {
+        self.depth > 0 && self.waiting >= self.depth
+    }
+}
+
+#[derive(Default)]
+struct State {
+    next: u64,
+    waiting: BTreeMap<u64, (SourceId, Event)>,
+    sources: Vec<Source>,
+}
+
+/// What came, by fate. A sample or query is counted before the poller can see it.
+#[derive(Default)]
+pub struct Counts {
+    pub received: AtomicU64,
+    pub received_bytes: AtomicU64,
+    pub received_dropped: AtomicU64, // samples, answers and reports
+    pub replaced: AtomicU64,
+    pub queries: AtomicU64,
+    pub queries_refused: AtomicU64,
+}
+
+impl Counts {
+    pub fn refused(&self, kind: Kind) {
+        let counter = if kind == Kind::Query { &self.queries_refused } else { &self.received_dropped };
+        counter.fetch_add(1, Relaxed);
+    }
+
+    fn taken(&self, event: &Event) {
+        match event.kind {
+            Kind::Sample => {
+                self.received.fetch_add(1, Relaxed);
+                self.received_bytes.fetch_add(event.data.as_slice().len() as u64, Relaxed);
+            }
+            Kind::Query => _ = self.queries.fetch_add(1, Relaxed),
+            _ => {}
+        }
+    }
+}
+
+#[derive(Default)]
+pub struct Inbox {
+    pub counts: Counts,
+    state: Mutex<State>,
+    arrived: Condvar,
+}
+
+impl Inbox {
+    pub fn new(max_replies: usize) -> Inbox {
+        let inbox = Inbox::default();
+        inbox.add_source(max_replies); // REPLIES
+        inbox
+    }
+
+    pub fn add_source(&self, depth: usize) -> SourceId {
+        let mut state = self.state.lock().unwrap();
+        state.sources.push(Source { depth, waiting: 0, latest: HashMap::new() });
+        state.sources.len() - 1
+    }
+
+    /// Tells before a copy is made whether it would be refused, and then counts it as such.
+    pub fn refuses(&self, source: SourceId, kind: Kind) -> bool {
+        let full = self.state.lock().unwrap().sources[source].is_full();
+        if full {
+            self.counts.refused(kind);
+        }
+        full
+    }
+
+    /// False: refused and counted.
+    pub fn push(&self, source: SourceId, event: Event) -> bool {
+        let mut state = self.state.lock().unwrap();
+        // The end of the answers always passes: the asker waits for it, and there is one a question.
+        if state.sources[source].is_full() && event.kind != Kind::ReplyEnd {
+            self.counts.refused(event.kind);
+            return false;
+        }
+        let number = state.next;
+        let mut older = None;
+        if state.sources[source].depth == 0 {
+            let latest = &mut state.sources[source].latest;
+            if latest.len() >= MAX_LATEST_KEYS && !latest.contains_key(&event.key) {
+                self.counts.refused(event.kind);
+                return false;
+            }
+            older = latest.insert(event.key.clone(), number);
+        }
+        state.next += 1;
+        let replaced = older.and_then(|older| state.waiting.remove(&older));
+        match replaced {
+            Some(_) => _ = self.counts.replaced.fetch_add(1, Relaxed),
+            None => state.sources[source].waiting += 1,
+        }
+        self.counts.taken(&event);
+        state.waiting.insert(number, (source, event));
+        drop(state);
+        self.arrived.notify_one();
+        true // `replaced` is freed here, outside the lock
+    }
+
+    /// Waits for something, then moves up to `most` events to the end of `out`.
+    pub fn take(&self, most: usize, timeout: Duration, out: &mut Vec<Event>) {
+        let mut state = self.state.lock().unwrap();
+        if !timeout.is_zero() {
+            let idle = |state: &mut State| state.waiting.is_empty();
+            state = self.arrived.wait_timeout_while(state, timeout, idle).unwrap().0;
+        }
+        while out.len() < most {
+            let Some((_, (source, event))) = state.waiting.pop_first() else { break };
+            let source = &mut state.sources[source];
+            source.waiting -= 1;
+            if source.depth == 0 {
+                source.latest.remove(&event.key);
+            }
+            out.push(event);
+        }
+    }
+}

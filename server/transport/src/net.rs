@@ -1,0 +1,471 @@
+//! A zenoh session, pull-based. Out: two threads do every zenoh call that could wait, one publishes, one asks and answers, so
+//! that an asker who takes nothing cannot hold the streams up. In: zenoh's callbacks copy into the bounded inbox and wake the
+//! poller, nothing else. Samples are sent with Drop: a frozen subscriber loses samples, the others none.
+
+use crate::bytes::Aligned;
+use crate::config::{self, MAX_MESSAGE};
+use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO};
+use crate::inbox::{Counts, Event, Inbox, Kind, REPLIES, SourceId};
+use crate::queue::{Next, Queue, Refused};
+use std::any::Any;
+use std::collections::{BTreeMap, HashMap};
+use std::ffi::CString;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use zenoh::bytes::ZBytes;
+use zenoh::key_expr::KeyExpr;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::sample::{Locality, Sample, SampleKind};
+use zenoh::{Session, Wait};
+
+/// Samples that wait for the publishing thread; it is behind only while zenoh waits for a slow link (1 ms a sample at most).
+const PUT_BYTES: usize = 32 << 20;
+const PUT_ITEMS: usize = 1 << 16;
+/// Questions, answers and declarations that wait for the other thread.
+const ASK_BYTES: usize = 64 << 20;
+const ASK_ITEMS: usize = 1 << 14;
+/// Answers to our questions that were not polled yet.
+const MAX_REPLIES: usize = 4096;
+/// Queries that were polled and not answered yet; beyond it the oldest is given up, so that its asker hears the end.
+const MAX_OPEN_QUERIES: usize = 4096;
+/// Alive and gone reports that were not polled yet.
+const MAX_REPORTS: usize = 1 << 16;
+/// Questions have a priority that no sample has: zenoh keeps a queue each, and an answer inherits it from the question, so a
+/// blocked answer never stands before a sample.
+const ASK_PRIORITY: Priority = Priority::DataHigh;
+
+#[derive(Default)]
+pub struct Sent {
+    pub put: AtomicU64,
+    pub put_bytes: AtomicU64,
+    pub put_dropped: AtomicU64,
+}
+
+/// A key that this session publishes on.
+struct Key {
+    name: KeyExpr<'static>,
+    index: usize,
+    matching: AtomicBool,
+}
+
+enum Put {
+    Declare(Arc<Key>),
+    Sample(Arc<Key>, Priority, Vec<u8>),
+}
+
+enum Ask {
+    Subscribe(KeyExpr<'static>, SourceId),
+    Queryable(KeyExpr<'static>, SourceId),
+    Announce(KeyExpr<'static>),
+    Retract(KeyExpr<'static>),
+    Watch(KeyExpr<'static>, SourceId),
+    Get { key: KeyExpr<'static>, data: Vec<u8>, timeout: Duration, ticket: u64 },
+    Reply { query: Box<Waiting>, data: Vec<u8>, failed: bool },
+}
+
+/// A query and the key to answer it under.
+struct Waiting {
+    query: Query,
+    key: KeyExpr<'static>,
+}
+
+/// What the callbacks need.
+struct Shared {
+    inbox: Inbox,
+    open_queries: Mutex<BTreeMap<u64, Box<Waiting>>>,
+    tickets: AtomicU64,
+    asks: Queue<Ask>,
+}
+
+pub struct Net {
+    session: Session,
+    endpoint: CString,
+    shared: Arc<Shared>,
+    sent: Sent,
+    puts: Arc<Queue<Put>>,
+    keys: Mutex<HashMap<String, Arc<Key>>>,
+    threads: Vec<JoinHandle<()>>,
+    pub polled: Mutex<Vec<Event>>,
+}
+
+impl Net {
+    pub fn open(mode: &str, listen: &[&str], connect: &[&str], overlay: Option<&str>, timeout_ms: u32) -> Result<Net, Fail> {
+        let config = config::build(mode, listen, connect, overlay, timeout_ms)?;
+        let session = zenoh::open(config).wait().map_err(|e| {
+            let (verb, ends, remedy) = match mode {
+                "client" => ("connect to", connect, "is a server running there?"),
+                _ => ("listen on", listen, "is the port free and the address this machine's?"),
+            };
+            Fail::new(IO, format!("cannot {verb} {}: {remedy} ({e})", ends.join(", ")))
+        })?;
+        let endpoint = session.info().locators().wait().first().map(|locator| locator.to_string()).unwrap_or_default();
+        let shared = Arc::new(Shared {
+            inbox: Inbox::new(MAX_REPLIES),
+            open_queries: Mutex::default(),
+            tickets: AtomicU64::new(1),
+            asks: Queue::new(ASK_BYTES, ASK_ITEMS),
+        });
+        let puts = Arc::new(Queue::new(PUT_BYTES, PUT_ITEMS));
+        let publishing = {
+            let (session, puts) = (session.clone(), puts.clone());
+            thread("net publish", move || publish(&session, &puts))?
+        };
+        let asking = {
+            let (session, shared) = (session.clone(), shared.clone());
+            thread("net ask", move || ask(&session, &shared))?
+        };
+        Ok(Net {
+            session,
+            endpoint: CString::new(endpoint).unwrap_or_default(),
+            shared,
+            sent: Sent::default(),
+            puts,
+            keys: Mutex::default(),
+            threads: vec![publishing, asking],
+            polled: Mutex::default(),
+        })
+    }
+
+    /// Publishes and answers what is queued, undeclares everything, closes the session.
+    pub fn close(mut self) {
+        self.puts.close();
+        self.shared.asks.close();
+        for thread in self.threads.drain(..) {
+            _ = thread.join();
+        }
+        let unanswered = std::mem::take(&mut *self.shared.open_queries.lock().unwrap());
+        drop(unanswered);
+        _ = self.session.close().wait();
+    }
+
+    pub fn endpoint(&self) -> &CString {
+        &self.endpoint
+    }
+
+    pub fn counts(&self) -> (&Sent, &Counts) {
+        (&self.sent, &self.shared.inbox.counts)
+    }
+
+    pub fn put(&self, key: &str, data: &[u8], priority: i32) -> Result<(), Fail> {
+        let priority = match priority {
+            1 => Priority::RealTime,
+            2 => Priority::InteractiveHigh,
+            5 => Priority::Data,
+            6 => Priority::DataLow,
+            other => {
+                return Err(Fail::new(BAD_ARGUMENT, format!("{key}: {other} is not one of the priorities of NetPriority")));
+            }
+        };
+        check_size(key, data)?;
+        let key = self.key(key)?;
+        self.puts.push(Put::Sample(key, priority, data.to_vec()), data.len()).map_err(|refused| {
+            self.sent.put_dropped.fetch_add(1, Relaxed);
+            refusal(refused)
+        })?;
+        self.sent.put.fetch_add(1, Relaxed);
+        self.sent.put_bytes.fetch_add(data.len() as u64, Relaxed);
+        Ok(())
+    }
+
+    /// False until the publishing thread has declared the key, at the first call or put.
+    pub fn matching(&self, key: &str) -> Result<bool, Fail> {
+        Ok(self.key(key)?.matching.load(Relaxed))
+    }
+
+    pub fn subscribe(&self, key: &str, depth: u32) -> Result<(), Fail> {
+        let key = key_expression(key)?;
+        let source = self.shared.inbox.add_source(depth as usize);
+        self.ask(Ask::Subscribe(key, source), 0)
+    }
+
+    pub fn queryable(&self, key: &str, depth: u32) -> Result<(), Fail> {
+        let key = key_expression(key)?;
+        let source = self.shared.inbox.add_source(depth.max(1) as usize);
+        self.ask(Ask::Queryable(key, source), 0)
+    }
+
+    pub fn announce(&self, key: &str) -> Result<(), Fail> {
+        self.ask(Ask::Announce(one_key(key)?), 0)
+    }
+
+    pub fn retract(&self, key: &str) -> Result<(), Fail> {
+        self.ask(Ask::Retract(one_key(key)?), 0)
+    }
+
+    pub fn watch(&self, key: &str) -> Result<(), Fail> {
+        let key = key_expression(key)?;
+        let source = self.shared.inbox.add_source(MAX_REPORTS);
+        self.ask(Ask::Watch(key, source), 0)
+    }
+
+    pub fn get(&self, key: &str, data: &[u8], timeout_ms: u32) -> Result<u64, Fail> {
+        check_size(key, data)?;
+        let ticket = self.shared.tickets.fetch_add(1, Relaxed);
+        let timeout = Duration::from_millis(timeout_ms.max(1).into());
+        self.ask(Ask::Get { key: key_expression(key)?, data: data.to_vec(), timeout, ticket }, data.len())?;
+        Ok(ticket)
+    }
+
+    pub fn reply(&self, ticket: u64, data: &[u8], failed: bool) -> Result<(), Fail> {
+        check_size("a reply", data)?;
+        let Some(query) = self.shared.open_queries.lock().unwrap().remove(&ticket) else {
+            return Err(Fail::new(BAD_ARGUMENT, format!("no query waits under ticket {ticket}: it was answered or given up")));
+        };
+        self.ask(Ask::Reply { query, data: data.to_vec(), failed }, data.len())
+    }
+
+    /// What was polled before is freed, then up to `most` events are put into `polled`.
+    pub fn poll(&self, polled: &mut Vec<Event>, most: usize, timeout_us: u64) {
+        polled.clear();
+        self.shared.inbox.take(most, Duration::from_micros(timeout_us), polled);
+    }
+
+    fn key(&self, name: &str) -> Result<Arc<Key>, Fail> {
+        let mut keys = self.keys.lock().unwrap();
+        if let Some(key) = keys.get(name) {
+            return Ok(key.clone());
+        }
+        let key = Arc::new(Key { name: one_key(name)?, index: keys.len(), matching: AtomicBool::new(false) });
+        // declared in the order of their index
+        self.puts.push(Put::Declare(key.clone()), 0).map_err(refusal)?;
+        keys.insert(name.to_string(), key.clone());
+        Ok(key)
+    }
+
+    fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
+        self.shared.asks.push(ask, bytes).map_err(refusal)
+    }
+}
+
+fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, Fail> {
+    let spawned = std::thread::Builder::new().name(name.into()).spawn(work);
+    spawned.map_err(|e| Fail::new(IO, format!("no thread for the network session ({e}); raise the limit of threads")))
+}
+
+fn refusal(refused: Refused) -> Fail {
+    match refused {
+        Refused::Full => Fail::new(DROPPED, "the session's queue is full: more is sent than the network takes"),
+        Refused::Closed => Fail::new(CLOSED, "the session is closed"),
+    }
+}
+
+fn check_size(key: &str, data: &[u8]) -> Result<(), Fail> {
+    if data.len() > MAX_MESSAGE {
+        let size = data.len();
+        return Err(Fail::new(
+            BAD_ARGUMENT,
+            format!("{key}: {size} bytes are over the limit of {MAX_MESSAGE} for one message"),
+        ));
+    }
+    Ok(())
+}
+
+fn key_expression(text: &str) -> Result<KeyExpr<'static>, Fail> {
+    KeyExpr::try_from(text.to_string()).map_err(|e| Fail::new(BAD_ARGUMENT, format!("\"{text}\" is not a key expression: {e}")))
+}
+
+fn one_key(text: &str) -> Result<KeyExpr<'static>, Fail> {
+    let key = key_expression(text)?;
+    if key.is_wild() {
+        return Err(Fail::new(BAD_ARGUMENT, format!("\"{text}\" names many keys; this needs one, without *")));
+    }
+    Ok(key)
+}
+
+// ---- the publishing thread ----
+
+fn publish(session: &Session, puts: &Queue<Put>) {
+    let mut publishers: Vec<HashMap<u8, Publisher<'static>>> = Vec::new();
+    loop {
+        match puts.pop(None) {
+            Next::Item(Put::Declare(key)) => {
+                publishers.push(HashMap::new());
+                watch_matching(session, &key, &mut publishers[key.index]);
+            }
+            Next::Item(Put::Sample(key, priority, data)) => {
+                if let Some(publisher) = publisher(session, &key, priority, &mut publishers[key.index]) {
+                    _ = publisher.put(data).wait(); // fails only when the session is closed
+                }
+            }
+            Next::TimedOut => {}
+            Next::Closed => return,
+        }
+    }
+}
+
+/// One publisher a key and priority (nearly always one a key), declared when first used and kept.
+fn publisher<'a>(
+    session: &Session,
+    key: &Key,
+    priority: Priority,
+    declared: &'a mut HashMap<u8, Publisher<'static>>,
+) -> Option<&'a Publisher<'static>> {
+    if !declared.contains_key(&(priority as u8)) {
+        let publisher = session
+            .declare_publisher(key.name.clone())
+            .congestion_control(CongestionControl::Drop)
+            .priority(priority)
+            .express(priority == Priority::RealTime) // not batched with what follows
+            .allowed_destination(Locality::Remote)
+            .wait();
+        declared.insert(priority as u8, publisher.ok()?);
+    }
+    declared.get(&(priority as u8))
+}
+
+fn watch_matching(session: &Session, key: &Arc<Key>, declared: &mut HashMap<u8, Publisher<'static>>) {
+    if let Some(publisher) = publisher(session, key, Priority::Data, declared) {
+        let key = key.clone();
+        let set = move |status: zenoh::matching::MatchingStatus| key.matching.store(status.matching(), Relaxed);
+        _ = publisher.matching_listener().callback(set).background().wait();
+    }
+}
+
+// ---- the asking and answering thread ----
+
+fn ask(session: &Session, shared: &Arc<Shared>) {
+    let mut declared: Vec<Box<dyn Any>> = Vec::new(); // dropped, so undeclared, at the end
+    let mut tokens = HashMap::new();
+    loop {
+        let done = match shared.asks.pop(None) {
+            Next::Item(Ask::Subscribe(key, source)) => {
+                let shared = shared.clone();
+                let take = move |sample: Sample| shared.sample(source, &sample);
+                session.declare_subscriber(key).callback(take).wait().map(|it| declared.push(Box::new(it)))
+            }
+            Next::Item(Ask::Queryable(key, source)) => {
+                let (shared, own) = (shared.clone(), key.clone());
+                let take = move |query: Query| shared.query(source, &own, query);
+                session.declare_queryable(key).callback(take).wait().map(|it| declared.push(Box::new(it)))
+            }
+            Next::Item(Ask::Announce(key)) => {
+                session.liveliness().declare_token(key.clone()).wait().map(|it| _ = tokens.insert(key, it))
+            }
+            Next::Item(Ask::Retract(key)) => tokens.remove(&key).map_or(Ok(()), |token| token.undeclare().wait()),
+            Next::Item(Ask::Watch(key, source)) => {
+                let shared = shared.clone();
+                let take = move |sample: Sample| shared.report(source, &sample);
+                let liveliness = session.liveliness();
+                liveliness.declare_subscriber(key).history(true).callback(take).wait().map(|it| declared.push(Box::new(it)))
+            }
+            Next::Item(Ask::Get { key, data, timeout, ticket }) => get(session, shared, key, data, timeout, ticket),
+            Next::Item(Ask::Reply { query, data, failed: true }) => query.query.reply_err(data).wait(),
+            Next::Item(Ask::Reply { query, data, failed: false }) => query.query.reply(&query.key, data).wait(),
+            Next::TimedOut => Ok(()),
+            Next::Closed => return,
+        };
+        // Keys were checked by the caller, so zenoh refuses only on a closed session; an asker who is gone needs no answer.
+        _ = done;
+    }
+}
+
+fn get(
+    session: &Session,
+    shared: &Arc<Shared>,
+    key: KeyExpr<'static>,
+    data: Vec<u8>,
+    timeout: Duration,
+    ticket: u64,
+) -> Result<(), zenoh::Error> {
+    let asked = Asked { shared: shared.clone(), key: c_key(&key), ticket };
+    let take = move |reply: zenoh::query::Reply| asked.reply(&reply);
+    session
+        .get(key)
+        .payload(data)
+        .timeout(timeout)
+        .target(QueryTarget::All)
+        .consolidation(ConsolidationMode::None) // answers arrive as they come, not at the end
+        .congestion_control(CongestionControl::Block)
+        .priority(ASK_PRIORITY)
+        .allowed_destination(Locality::Remote)
+        .callback(take)
+        .wait()
+}
+
+/// A question under way. zenoh drops it after the last answer or the timeout: that is the end that the asker is told.
+struct Asked {
+    shared: Arc<Shared>,
+    key: CString,
+    ticket: u64,
+}
+
+impl Asked {
+    fn reply(&self, reply: &zenoh::query::Reply) {
+        if self.shared.inbox.refuses(REPLIES, Kind::Reply) {
+            return;
+        }
+        let (failed, key, payload) = match reply.result() {
+            Ok(sample) => (false, c_key(sample.key_expr()), sample.payload()),
+            Err(error) => (true, self.key.clone(), error.payload()),
+        };
+        let event = Event { kind: Kind::Reply, failed, key, data: aligned(payload), ticket: self.ticket };
+        self.shared.inbox.push(REPLIES, event);
+    }
+}
+
+impl Drop for Asked {
+    fn drop(&mut self) {
+        let key = std::mem::take(&mut self.key);
+        let end = Event { kind: Kind::ReplyEnd, failed: false, key, data: Aligned::default(), ticket: self.ticket };
+        self.shared.inbox.push(REPLIES, end);
+    }
+}
+
+// ---- zenoh's threads ----
+
+impl Shared {
+    fn sample(&self, source: SourceId, sample: &Sample) {
+        // Nothing here deletes keys; a delete has no payload to hand on.
+        if sample.kind() == SampleKind::Delete {
+            self.inbox.counts.refused(Kind::Sample);
+        } else if !self.inbox.refuses(source, Kind::Sample) {
+            let (key, data) = (c_key(sample.key_expr()), aligned(sample.payload()));
+            self.inbox.push(source, Event { kind: Kind::Sample, failed: false, key, data, ticket: 0 });
+        }
+    }
+
+    fn report(&self, source: SourceId, sample: &Sample) {
+        let kind = if sample.kind() == SampleKind::Put { Kind::Alive } else { Kind::Gone };
+        let key = c_key(sample.key_expr());
+        self.inbox.push(source, Event { kind, failed: false, key, data: Aligned::default(), ticket: 0 });
+    }
+
+    /// A query is answered under the queryable's own key, or, where that names many, under the key asked for.
+    fn query(&self, source: SourceId, own: &KeyExpr<'static>, query: Query) {
+        let ticket = self.tickets.fetch_add(1, Relaxed);
+        let key = c_key(query.key_expr());
+        let data = query.payload().map(aligned).unwrap_or_default();
+        let answer_key = if own.is_wild() { query.key_expr().clone() } else { own.clone() };
+        let waiting = Box::new(Waiting { query, key: answer_key });
+        // before the poller can see the ticket
+        let given_up = {
+            let mut open = self.open_queries.lock().unwrap();
+            open.insert(ticket, waiting);
+            if open.len() > MAX_OPEN_QUERIES { open.pop_first() } else { None }
+        };
+        drop(given_up);
+        let event = Event { kind: Kind::Query, failed: false, key, data, ticket };
+        if self.inbox.push(source, event) {
+            return;
+        }
+        let refused = self.open_queries.lock().unwrap().remove(&ticket);
+        if let Some(query) = refused {
+            let sentence = b"too many questions wait here: ask again later".to_vec();
+            _ = self.asks.push(Ask::Reply { query, data: sentence, failed: true }, 64); // if full: the end without an answer
+        }
+    }
+}
+
+fn aligned(payload: &ZBytes) -> Aligned {
+    Aligned::gather(payload.len(), payload.slices())
+}
+
+/// A key expression may hold a zero byte; as a C string it ends there.
+fn c_key(key: &KeyExpr<'_>) -> CString {
+    let text = key.as_str();
+    CString::new(text.split('\0').next().unwrap_or_default()).unwrap_or_default()
+}

@@ -1,0 +1,79 @@
+//! A bounded queue from any thread to one worker thread. What comes in: items with a size; what goes out: the same items in
+//! order. Never makes the giver wait: a full queue refuses, and the giver counts it.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex};
+use std::time::Duration;
+
+pub struct Queue<T> {
+    state: Mutex<State<T>>,
+    changed: Condvar,
+    max_bytes: usize,
+    max_items: usize,
+}
+
+struct State<T> {
+    items: VecDeque<(T, usize)>,
+    bytes: usize,
+    closed: bool,
+}
+
+pub enum Refused {
+    Full,
+    Closed,
+}
+
+pub enum Next<T> {
+    Item(T),
+    TimedOut,
+    Closed,
+}
+
+impl<T> Queue<T> {
+    pub fn new(max_bytes: usize, max_items: usize) -> Queue<T> {
+        let state = State { items: VecDeque::new(), bytes: 0, closed: false };
+        Queue { state: Mutex::new(state), changed: Condvar::new(), max_bytes, max_items }
+    }
+
+    /// Takes the item unless the bound is already reached; so one item larger than the bound still passes an empty queue.
+    pub fn push(&self, item: T, bytes: usize) -> Result<(), Refused> {
+        let mut state = self.state.lock().unwrap();
+        if state.closed {
+            return Err(Refused::Closed);
+        }
+        if state.bytes >= self.max_bytes || state.items.len() >= self.max_items {
+            return Err(Refused::Full);
+        }
+        state.bytes += bytes;
+        state.items.push_back((item, bytes));
+        let was_empty = state.items.len() == 1;
+        drop(state);
+        if was_empty {
+            self.changed.notify_one();
+        }
+        Ok(())
+    }
+
+    /// The next item; after close, what is left and then Closed.
+    pub fn pop(&self, timeout: Option<Duration>) -> Next<T> {
+        let mut state = self.state.lock().unwrap();
+        let idle = |state: &mut State<T>| state.items.is_empty() && !state.closed;
+        state = match timeout {
+            None => self.changed.wait_while(state, idle).unwrap(),
+            Some(timeout) => self.changed.wait_timeout_while(state, timeout, idle).unwrap().0,
+        };
+        match state.items.pop_front() {
+            Some((item, bytes)) => {
+                state.bytes -= bytes;
+                Next::Item(item)
+            }
+            None if state.closed => Next::Closed,
+            None => Next::TimedOut,
+        }
+    }
+
+    pub fn close(&self) {
+        self.state.lock().unwrap().closed = true;
+        self.changed.notify_all();
+    }
+}

@@ -1,0 +1,257 @@
+//! Writes an MCAP file on a thread of its own. In: schemas, channels, messages, attachments, metadata, each copied into a
+//! bounded queue; out: a file of whole records only (chunks are built in memory, nothing is patched later), flushed and synced
+//! in good time, so that a kill -9 loses no more than the last second. What could not be written is counted, never hidden.
+
+use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO, causes};
+use crate::queue::{Next, Queue, Refused};
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{Attachment, Compression, McapError, McapResult, WriteOptions, Writer};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::ffi::CString;
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, Write};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+const QUEUE_BYTES: usize = 64 << 20;
+const QUEUE_ITEMS: usize = 1 << 20;
+/// uncompressed; a reader holds one chunk at a time
+const CHUNK_BYTES: u64 = 256 << 10;
+/// The promise is one second; a tenth of it is for the disk.
+const SYNC_PERIOD: Duration = Duration::from_millis(900);
+/// MCAP numbers schemas and channels in 16 bits, from 1.
+const MAX_IDS: usize = 65_535;
+
+pub enum Item {
+    Schema { name: String, bfbs: Vec<u8> },
+    Channel { topic: String, schema: usize },
+    Message { channel: usize, header: MessageHeader, data: Vec<u8> },
+    Attachment { name: String, media_type: String, data: Vec<u8> },
+    Metadata { name: String, pairs: BTreeMap<String, String> },
+}
+
+#[derive(Default)]
+struct Shared {
+    lost: AtomicU64,
+    trouble: OnceLock<(i32, CString)>,
+}
+
+pub struct Recorder {
+    queue: Arc<Queue<Item>>,
+    shared: Arc<Shared>,
+    ids: Mutex<(usize, usize)>, // schemas, channels given out
+    thread: JoinHandle<()>,
+}
+
+impl Recorder {
+    pub fn open(path: &str, profile: &str, library: &str) -> Result<Recorder, Fail> {
+        let cannot =
+            |why: String| Fail::new(IO, format!("{path}: cannot record there: {why}; name a file in a writable folder"));
+        let file = File::create(path).map_err(|e| cannot(e.to_string()))?;
+        let sync = file.try_clone().map_err(|e| cannot(e.to_string()))?;
+        // LZ4, not zstd: poses and deltas are small and partly compressed already, and the tick's cores are worth more.
+        let writer = WriteOptions::new()
+            .profile(profile)
+            .library(library)
+            .compression(Some(Compression::Lz4))
+            .chunk_size(Some(CHUNK_BYTES))
+            .disable_seeking(true)
+            .create(NoSeek::new(BufWriter::new(file)))
+            .map_err(|e| cannot(causes(&e)))?;
+        let queue = Arc::new(Queue::new(QUEUE_BYTES, QUEUE_ITEMS));
+        let shared = Arc::new(Shared::default());
+        let scribe = Scribe {
+            path: path.to_string(),
+            writer: Some(writer),
+            sync,
+            shared: shared.clone(),
+            schemas: Vec::new(),
+            channels: Vec::new(),
+            unsynced: 0,
+            dirty_since: Some(Instant::now()), // the header
+        };
+        let items = queue.clone();
+        let thread = std::thread::Builder::new()
+            .name("recorder".into())
+            .spawn(move || scribe.run(&items))
+            .map_err(|e| cannot(format!("no thread for it ({e})")))?;
+        Ok(Recorder { queue, shared, ids: Mutex::new((0, 0)), thread })
+    }
+
+    /// Ids count from 0 in the order of the calls, which is also their order in the queue: hence under the lock.
+    pub fn schema(&self, name: String, bfbs: Vec<u8>) -> Result<usize, Fail> {
+        let mut ids = self.ids.lock().unwrap();
+        if ids.0 >= MAX_IDS {
+            return Err(Fail::new(DROPPED, format!("schema {name}: a recording holds at most {MAX_IDS} schemas")));
+        }
+        let bytes = bfbs.len();
+        self.push(Item::Schema { name, bfbs }, bytes)?;
+        ids.0 += 1;
+        Ok(ids.0 - 1)
+    }
+
+    pub fn channel(&self, topic: String, schema: usize) -> Result<usize, Fail> {
+        let mut ids = self.ids.lock().unwrap();
+        if schema >= ids.0 {
+            let given = ids.0;
+            return Err(bad(format!("channel {topic}: schema {schema} is not one of the {given} that recorder_schema gave")));
+        }
+        if ids.1 >= MAX_IDS {
+            return Err(Fail::new(DROPPED, format!("channel {topic}: a recording holds at most {MAX_IDS} channels")));
+        }
+        self.push(Item::Channel { topic, schema }, 0)?;
+        ids.1 += 1;
+        Ok(ids.1 - 1)
+    }
+
+    pub fn write(&self, channel: usize, header: MessageHeader, data: Vec<u8>) -> Result<(), Fail> {
+        let given = self.ids.lock().unwrap().1;
+        if channel >= given {
+            return Err(bad(format!("channel {channel} is not one of the {given} that recorder_channel gave")));
+        }
+        let bytes = data.len() + 32;
+        let pushed = self.push(Item::Message { channel, header, data }, bytes);
+        if pushed.is_err() {
+            self.shared.lost.fetch_add(1, Relaxed);
+        }
+        pushed
+    }
+
+    pub fn push(&self, item: Item, bytes: usize) -> Result<(), Fail> {
+        self.queue.push(item, bytes).map_err(|refused| match refused {
+            Refused::Full => {
+                Fail::new(DROPPED, "the recorder's queue of 64 MiB is full: the disk is slower than the recording")
+            }
+            Refused::Closed => Fail::new(CLOSED, "the recorder is closed"),
+        })
+    }
+
+    pub fn lost(&self) -> u64 {
+        self.shared.lost.load(Relaxed)
+    }
+
+    pub fn trouble(&self) -> Option<&(i32, CString)> {
+        self.shared.trouble.get()
+    }
+
+    pub fn close(self) -> Result<(), Fail> {
+        self.queue.close();
+        let ended = self.thread.join();
+        match self.shared.trouble.get() {
+            Some((status, sentence)) => Err(Fail::new(*status, sentence.to_string_lossy())),
+            None if ended.is_err() => Err(Fail::new(IO, "the recorder's thread ended early")),
+            None => Ok(()),
+        }
+    }
+}
+
+fn bad(sentence: String) -> Fail {
+    Fail::new(BAD_ARGUMENT, sentence)
+}
+
+type Sink = Writer<NoSeek<BufWriter<File>>>;
+
+/// The thread's side.
+struct Scribe {
+    path: String,
+    writer: Option<Sink>, // None after the first trouble
+    sync: File,
+    shared: Arc<Shared>,
+    schemas: Vec<u16>, // our ids -> the file's
+    channels: Vec<u16>,
+    unsynced: u64, // messages since the last sync: lost if the disk refuses them
+    dirty_since: Option<Instant>,
+}
+
+impl Scribe {
+    fn run(mut self, items: &Queue<Item>) {
+        loop {
+            let due = self.dirty_since.map(|since| SYNC_PERIOD.saturating_sub(since.elapsed()));
+            match items.pop(due) {
+                Next::Item(item) => self.take(item),
+                Next::TimedOut => {}
+                Next::Closed => break,
+            }
+            if self.dirty_since.is_some_and(|since| since.elapsed() >= SYNC_PERIOD) {
+                self.attempt(|scribe, writer| {
+                    writer.flush()?;
+                    scribe.synced()
+                });
+                self.dirty_since = None;
+            }
+        }
+        if let Some(mut writer) = self.writer.take() {
+            let finished = writer.finish().and_then(|_| {
+                writer.into_inner().into_inner().flush()?;
+                self.synced()
+            });
+            if let Err(error) = finished {
+                self.give_up(&error);
+            }
+        }
+    }
+
+    fn take(&mut self, item: Item) {
+        self.unsynced += u64::from(matches!(item, Item::Message { .. }));
+        if self.writer.is_none() {
+            self.count_lost();
+            return;
+        }
+        self.dirty_since.get_or_insert_with(Instant::now);
+        self.attempt(|scribe, writer| scribe.write(writer, item));
+    }
+
+    /// Runs one step on the file, if it is still sound; the first failure ends the file, since mcap cannot resume after one.
+    fn attempt(&mut self, step: impl FnOnce(&mut Scribe, &mut Sink) -> McapResult<()>) {
+        let Some(mut writer) = self.writer.take() else { return };
+        match step(self, &mut writer) {
+            Ok(()) => self.writer = Some(writer),
+            Err(error) => self.give_up(&error),
+        }
+    }
+
+    fn give_up(&mut self, error: &McapError) {
+        self.count_lost();
+        let path = &self.path;
+        let why = causes(error);
+        let sentence =
+            format!("{path}: the recording ends here: {why}; what was synced before is readable, record anew elsewhere");
+        _ = self.shared.trouble.set((IO, CString::new(sentence.replace('\0', " ")).unwrap_or_default()));
+    }
+
+    fn count_lost(&mut self) {
+        self.shared.lost.fetch_add(std::mem::take(&mut self.unsynced), Relaxed);
+    }
+
+    fn synced(&mut self) -> McapResult<()> {
+        match self.sync.sync_data() {
+            Err(error) if error.kind() != ErrorKind::InvalidInput => return Err(error.into()), // pipes cannot be synced
+            _ => self.unsynced = 0,
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, writer: &mut Sink, item: Item) -> McapResult<()> {
+        match item {
+            Item::Schema { name, bfbs } => self.schemas.push(writer.add_schema(&name, "flatbuffer", &bfbs)?),
+            Item::Channel { topic, schema } => {
+                let id = writer.add_channel(self.schemas[schema], &topic, "flatbuffer", &BTreeMap::new())?;
+                self.channels.push(id);
+            }
+            Item::Message { channel, header, data } => {
+                let header = MessageHeader { channel_id: self.channels[channel], ..header };
+                writer.write_to_known_channel(&header, &data)?;
+            }
+            Item::Attachment { name, media_type, data } => {
+                let attachment = Attachment { log_time: 0, create_time: 0, name, media_type, data: Cow::Owned(data) };
+                writer.attach(&attachment)?;
+            }
+            Item::Metadata { name, pairs } => writer.write_metadata(&mcap::write::Metadata { name, metadata: pairs })?,
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,67 @@
+// The checks that decode is made of: each takes a field as it came and gives it back in the program's types, or keeps the
+// first refusal, which names the field, what it is and what it may be. After a refusal values are meaningless but harmless.
+#pragma once
+
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "schema/message_generated.h"
+#include "sim/obstacle.h"
+#include "wire/limits.h"
+#include "wire/refusal.h"
+
+namespace crumple {
+
+// Where a field stands: "spawn.", "cars[3]." or, with neither, the message itself.
+struct Place {
+  const char* table = nullptr;
+  std::optional<uint32_t> index = std::nullopt;
+};
+
+struct Checker {
+  const Limits& limits;
+  Verdict refusal = std::nullopt;
+
+  void refuse(Reason, const Place&, const char* field, const std::string& fact);
+  void finite(const Place&, const char* field, double);
+  float number(const Place&, const char* field, float, double least, double most, const char* unit);
+  Eigen::Vector3d vector(const Place&, const char* field, const schema::Vec3&, double longest, const char* unit);
+  Pose pose(const Place&, const char* field, const schema::Pose&);
+  std::string id(const Place&, const char* field, std::string_view);
+  std::string id(const Place& place, const char* field, const flatbuffers::String* text) {
+    return id(place, field, text->string_view());
+  }
+  std::string asset(const Place&, const flatbuffers::String*);
+};
+
+// "has 1001 entries; 1000 are allowed"
+std::string count_sentence(size_t count, size_t limit);
+// For sentences: at most 64 characters, all of them printable.
+std::string printable(std::string_view);
+
+// The root table if every offset below it holds; otherwise nothing, and the refusal. `tables`: of a list in it, at most; twice
+// as many may be there, so that one too many is told from a forged file that names one table a million times.
+template <class Table>
+const Table* verified(std::span<const std::byte> bytes, const char* what, const char* table, uint32_t tables, Checker& check) {
+  if (bytes.size() > check.limits.message_size) {
+    check.refuse(
+        Reason::too_large, {}, what,
+        "has " + std::to_string(bytes.size()) + " bytes; " + std::to_string(check.limits.message_size) + " are allowed");
+    return nullptr;
+  }
+  flatbuffers::Verifier::Options options;
+  options.max_depth = 4;
+  options.max_tables = 2 * tables + 8;
+  const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
+  if (!bytes.empty() && flatbuffers::Verifier(data, bytes.size(), options).VerifyBuffer<Table>(nullptr)) {
+    return flatbuffers::GetRoot<Table>(data);
+  }
+  check.refuse(Reason::malformed, {}, what,
+               "(" + std::to_string(bytes.size()) + " bytes) is not a " + table +
+                   " table of schema/message.fbs: cut off, an offset astray, a required field missing, or too many tables");
+  return nullptr;
+}
+
+}  // namespace crumple

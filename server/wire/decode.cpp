@@ -1,0 +1,291 @@
+#include "wire/decode.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "wire/check.h"
+
+namespace crumple {
+namespace {
+
+Intent read(const schema::CarPose& from, const Place& place, Checker& check) {
+  Intent intent;
+  intent.car = check.id(place, "car", from.car());
+  intent.motion.pose = check.pose(place, "pose", *from.pose());
+  intent.motion.velocity = check.vector(place, "velocity", *from.velocity(), check.limits.fastest, "m/s");
+  intent.motion.angular_velocity =
+      check.vector(place, "angular_velocity", *from.angular_velocity(), check.limits.fastest_turn, "rad/s");
+  intent.seen = from.seen();
+  return intent;
+}
+
+void read_hull(const schema::Obstacle& from, const Place& place, Checker& check, Obstacle& obstacle) {
+  if (!from.points()) return check.refuse(Reason::bad_hull, place, "points", "is absent; a hull needs at least 4");
+  if (from.points()->size() > uint32_t(hull_point_limit)) {
+    return check.refuse(
+        Reason::bad_hull, place, "points",
+        "has " + std::to_string(from.points()->size()) + " entries; a hull may have " + std::to_string(hull_point_limit));
+  }
+  std::vector<Vec3> points;
+  for (const schema::Vec3* point : *from.points()) {
+    points.push_back(check.vector(place, "points", *point, check.limits.widest, "m").cast<float>());
+  }
+  if (check.refusal) return;
+  if (auto sentence = make_hull(points, obstacle)) check.refuse(Reason::bad_hull, place, "points", "is refused: " + *sentence);
+}
+
+void read_shape(const schema::Obstacle& from, const Place& place, Checker& check, Obstacle& obstacle) {
+  const Limits& limits = check.limits;
+  const schema::Vec3 none;
+  const schema::Vec3& size = from.size() ? *from.size() : none;
+  const auto length = [&](const char* field, float value, double least) {
+    return check.number(place, field, value, least, limits.widest, "m");
+  };
+  switch (from.shape()) {
+    case schema::Shape::box: {
+      const Vec3 half(length("size.x", size.x(), limits.thinnest), length("size.y", size.y(), limits.thinnest),
+                      length("size.z", size.z(), limits.thinnest));
+      return make_box(half, obstacle);
+    }
+    case schema::Shape::sphere:
+      return make_sphere(length("size.x", size.x(), limits.thinnest), obstacle);
+    case schema::Shape::capsule:
+      return make_capsule(length("size.x", size.x(), limits.thinnest), length("size.y", size.y(), 0), obstacle);
+    case schema::Shape::half_space:
+      return make_half_space(obstacle);
+    case schema::Shape::hull:
+      return read_hull(from, place, check, obstacle);
+  }
+  check.refuse(Reason::malformed, place, "shape",
+               "is " + std::to_string(int(from.shape())) + "; shapes are box, sphere, capsule, half_space, hull (0 to 4)");
+}
+
+Obstacle read(const schema::Obstacle& from, const Place& place, Checker& check) {
+  Obstacle obstacle;
+  read_shape(from, place, check, obstacle);
+  obstacle.pose = check.pose(place, "pose", *from.pose());
+  if (from.velocity()) obstacle.velocity = check.vector(place, "velocity", *from.velocity(), check.limits.fastest, "m/s");
+  if (from.angular_velocity()) {
+    obstacle.angular_velocity =
+        check.vector(place, "angular_velocity", *from.angular_velocity(), check.limits.fastest_turn, "rad/s");
+  }
+  obstacle.friction = check.number(place, "friction", from.friction(), 0, check.limits.roughest, "");
+  return obstacle;
+}
+
+// Sorts; the first id that occurs twice is refused.
+template <class Id, class Text>
+void refuse_duplicates(std::vector<Id>& ids, const char* list, Text text, Checker& check) {
+  std::sort(ids.begin(), ids.end());
+  const auto twice = std::adjacent_find(ids.begin(), ids.end());
+  if (twice != ids.end()) check.refuse(Reason::duplicate, {}, list, "names " + text(*twice) + " twice; once is allowed");
+}
+
+SpawnOrder read(const schema::Spawn& from, Checker& check) {
+  const Place spawn{"spawn"};
+  const Limits& limits = check.limits;
+  SpawnOrder order;
+  order.asset = check.asset(spawn, from.asset());
+  order.host = check.id(spawn, "host", from.host());
+  order.pose = check.pose(spawn, "pose", *from.pose());
+  order.planar = from.planar();
+  order.mass = check.number(spawn, "mass", from.mass(), 0, limits.heaviest, "kg");
+  if (order.mass > 0 && order.mass < 1) check.refuse(Reason::out_of_range, spawn, "mass", "is below 1 kg and not 0");
+  if (from.inertia() && (from.inertia()->x() != 0 || from.inertia()->y() != 0 || from.inertia()->z() != 0)) {
+    const auto axis = [&](const char* field, float value) {
+      return double(check.number(spawn, field, value, 1e-3, limits.greatest_inertia, "kg m^2"));
+    };
+    order.inertia = {axis("inertia.x", from.inertia()->x()), axis("inertia.y", from.inertia()->y()),
+                     axis("inertia.z", from.inertia()->z())};
+  }
+  if (from.center_of_mass()) {
+    order.center_of_mass = check.vector(spawn, "center_of_mass", *from.center_of_mass(), limits.farthest_center, "m");
+  }
+  const bool center_given = order.center_of_mass && !order.center_of_mass->isZero(0);
+  if (order.mass == 0 && (order.inertia || center_given)) {
+    check.refuse(Reason::out_of_range, spawn, "mass",
+                 "is 0 (as baked), yet inertia or center_of_mass is given; give all or none");
+  }
+  if (order.mass == 0) order.center_of_mass.reset();
+  return order;
+}
+
+ParametersOrder read(const schema::Parameters& from, Checker& check) {
+  const Place parameters{"parameters"};
+  ParametersOrder order;
+  if (from.solver()) {
+    if (*from.solver() > schema::Solver::MAX) {
+      check.refuse(Reason::malformed, parameters, "solver", "is neither nodal (0) nor classic (1)");
+    }
+    order.solver = *from.solver() == schema::Solver::classic ? Solver::classic : Solver::nodal;
+  }
+  if (from.iterations()) order.iterations = *from.iterations();
+  order.region = int(check.number(parameters, "region", float(from.region()), -1, region_limit - 1, ""));
+  const auto take = [&](const char* field, flatbuffers::Optional<float> value, float Material::*member) {
+    if (!value) return;
+    check.finite(parameters, field, *value);
+    order.changes.emplace_back(member, *value);
+  };
+  take("young_modulus", from.young_modulus(), &Material::young_modulus);
+  take("poisson_ratio", from.poisson_ratio(), &Material::poisson_ratio);
+  take("yield", from.yield(), &Material::yield);
+  take("hardening", from.hardening(), &Material::hardening);
+  take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
+  take("viscosity", from.viscosity(), &Material::viscosity);
+  take("distance_stiffness", from.distance_stiffness(), &Material::distance_stiffness);
+  take("volume_stiffness", from.volume_stiffness(), &Material::volume_stiffness);
+  take("plasticity", from.plasticity(), &Material::plasticity);
+  return order;
+}
+
+LoadOrder read(const schema::Load& from, Checker& check) {
+  LoadOrder order;
+  const std::span bytes(reinterpret_cast<const std::byte*>(from.state()->data()), from.state()->size());
+  const schema::State* state = verified<schema::State>(bytes, "load.state", "State", 1, check);
+  if (!state) return order;
+  order.asset = check.asset({"load.state"}, state->asset());
+  if (state->gradients()->size() % 9 != 0) {
+    check.refuse(Reason::bad_state, {"load.state"}, "gradients",
+                 "has " + std::to_string(state->gradients()->size()) + " numbers; 9 per tet are needed");
+    return order;
+  }
+  Body& body = order.state;
+  for (const schema::Vec3* node : *state->node()) body.node.emplace_back(node->x(), node->y(), node->z());
+  const auto& numbers = *state->gradients();
+  body.gradients.resize(numbers.size() / 9);
+  for (uint32_t t = 0; t < body.gradients.size(); ++t) {
+    for (uint32_t k = 0; k < 3; ++k) {
+      const uint32_t at = 9 * t + 3 * k;
+      body.gradients[t].corner[k] = Vec3(numbers.Get(at), numbers.Get(at + 1), numbers.Get(at + 2));
+    }
+  }
+  body.hardening.assign(state->hardening()->begin(), state->hardening()->end());
+  body.edge_rest.assign(state->edge_rest()->begin(), state->edge_rest()->end());
+  body.tet_rest.assign(state->tet_rest()->begin(), state->tet_rest()->end());
+  return order;
+}
+
+}  // namespace
+
+Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Intents& out) {
+  Checker check{limits};
+  const auto* from = verified<schema::Poses>(bytes, "poses", "Poses", limits.cars, check);
+  if (!from) return check.refusal;
+  if (from->cars()->size() > limits.cars) {
+    check.refuse(Reason::too_many_cars, {}, "cars", count_sentence(from->cars()->size(), limits.cars));
+    return check.refusal;
+  }
+  out.sequence = from->sequence();
+  out.time = from->time();
+  check.finite({}, "time", from->time());
+  out.cars.clear();
+  std::vector<std::string_view> ids;
+  for (uint32_t i = 0; i < from->cars()->size() && !check.refusal; ++i) {
+    out.cars.push_back(read(*from->cars()->Get(i), {"cars", i}, check));
+    ids.push_back(from->cars()->Get(i)->car()->string_view());
+  }
+  refuse_duplicates(
+      ids, "cars", [](std::string_view id) { return std::string(id); }, check);
+  return check.refusal;
+}
+
+Verdict decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleList& out) {
+  Checker check{limits};
+  const auto* from = verified<schema::Obstacles>(bytes, "obstacles", "Obstacles", limits.obstacles_per_host, check);
+  if (!from) return check.refusal;
+  const auto& list = *from->obstacles();
+  if (list.size() > limits.obstacles_per_host) {
+    check.refuse(Reason::too_many_obstacles, {}, "obstacles", count_sentence(list.size(), limits.obstacles_per_host));
+    return check.refusal;
+  }
+  size_t points = 0;
+  for (const schema::Obstacle* obstacle : list) points += obstacle->points() ? obstacle->points()->size() : 0;
+  if (points > limits.hull_points_per_host) {
+    check.refuse(Reason::too_many_obstacles, {}, "points of all hulls", count_sentence(points, limits.hull_points_per_host));
+    return check.refusal;
+  }
+  std::vector<uint32_t> ids;
+  std::vector<uint32_t> order(list.size());
+  for (uint32_t i = 0; i < list.size(); ++i) {
+    ids.push_back(list.Get(i)->id());
+    order[i] = i;
+  }
+  std::sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) { return ids[a] < ids[b]; });
+  refuse_duplicates(
+      ids, "obstacles", [](uint32_t id) { return "id " + std::to_string(id); }, check);
+  out.sequence = from->sequence();
+  out.obstacles.clear();
+  for (uint32_t i : order) {
+    if (check.refusal) break;
+    out.obstacles.push_back(read(*list.Get(i), {"obstacles", i}, check));
+  }
+  return check.refusal;
+}
+
+Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& out) {
+  Checker check{limits};
+  const auto* from = verified<schema::Command>(bytes, "command", "Command", 1, check);
+  if (!from) return check.refusal;
+  if (const auto* spawn = from->order_as_Spawn()) {
+    out = read(*spawn, check);
+  } else if (from->order_as_Despawn()) {
+    out = DespawnOrder{};
+  } else if (const auto* repair = from->order_as_Repair()) {
+    out = RepairOrder{check.number({"repair"}, "amount", repair->amount(), 0, 1, "")};
+  } else if (const auto* parameters = from->order_as_Parameters()) {
+    out = read(*parameters, check);
+  } else if (from->order_as_Save()) {
+    out = SaveOrder{};
+  } else if (const auto* load = from->order_as_Load()) {
+    out = read(*load, check);
+  } else {
+    check.refuse(Reason::malformed, {"command"}, "order",
+                 "is of kind " + std::to_string(int(from->order_type())) +
+                     "; kinds are Spawn, Despawn, Repair, Parameters, Save, Load (1 to 6)");
+  }
+  return check.refusal;
+}
+
+Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
+  const Limits limits;
+  Checker check{limits};
+  if (const auto* from = verified<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {
+    out = {from->tick(), from->hash(), from->lost_inputs()};
+  }
+  return check.refusal;
+}
+
+Verdict decode(std::string_view key, const Limits& limits, Address& out) {
+  const size_t first = key.find('/');
+  const std::string_view kind = key.substr(0, first);
+  const std::string_view rest = first == key.npos ? std::string_view{} : key.substr(first + 1);
+  const size_t second = rest.find('/');
+  const std::string_view id = rest.substr(0, second);
+  const std::string_view tail = second == rest.npos ? std::string_view{} : rest.substr(second + 1);
+  if (kind == "host" && tail == "poses") {
+    out.kind = Address::Kind::poses;
+  } else if (kind == "host" && tail == "obstacles") {
+    out.kind = Address::Kind::obstacles;
+  } else if (kind == "car" && first != key.npos && second == rest.npos) {
+    out.kind = Address::Kind::command;
+  } else if (kind == "car" && tail == "key") {
+    out.kind = Address::Kind::keyframe;
+  } else {
+    return Refusal{Reason::bad_key,
+                   "key " + printable(key) + " is none of host/{host}/poses, host/{host}/obstacles, car/{car}, car/{car}/key"};
+  }
+  Checker check{limits};
+  out.id = check.id({"key"}, kind == "host" ? "host" : "car", id);
+  return check.refusal;
+}
+
+void apply(const ParametersOrder& order, Parameters& parameters) {
+  if (order.solver) parameters.solver = *order.solver;
+  if (order.iterations) parameters.iterations = *order.iterations;
+  for (int region = 0; region < region_limit; ++region) {
+    if (order.region >= 0 && order.region != region) continue;
+    for (const auto& [member, value] : order.changes) parameters.region[region].*member = value;
+  }
+}
+
+}  // namespace crumple

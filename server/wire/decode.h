@@ -1,0 +1,85 @@
+// Bytes from a host -> plain structs, or a refusal. Every offset is verified, then every field is held against its range and
+// limit; a message is taken whole or not at all, and what comes out needs no further check but against the world (does the car
+// live, is the asset known). Orientations come out normalised.
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "sim/body.h"
+#include "sim/material.h"
+#include "sim/motion.h"
+#include "wire/limits.h"
+#include "wire/refusal.h"
+
+namespace crumple {
+
+using Bytes = std::vector<std::byte>;
+
+// A key below crumple/1/{scene}/ that the server listens on.
+struct Address {
+  enum class Kind { poses, obstacles, command, keyframe } kind;
+  std::string id;  // of the host (poses, obstacles) or the car
+};
+
+struct Intent {
+  std::string car;
+  Motion motion;
+  uint64_t seen = 0;  // tick of the last reaction that motion contains; 0: none, a scripted car
+};
+struct Intents {
+  uint64_t sequence = 0;
+  double time = 0;  // s, the host's clock
+  std::vector<Intent> cars;
+};
+
+struct ObstacleList {
+  uint64_t sequence = 0;
+  std::vector<Obstacle> obstacles;  // in ascending order of id
+};
+
+struct SpawnOrder {
+  std::string asset, host;
+  Pose pose;
+  double mass = 0;                                         // kg; 0: mass, inertia and centre of the baked car
+  std::optional<Eigen::Vector3d> inertia, center_of_mass;  // kg m^2, m; absent: the baked car's
+  bool planar = true;
+};
+struct DespawnOrder {};
+struct RepairOrder {
+  float amount = 1;
+};
+struct ParametersOrder {
+  std::optional<Solver> solver;
+  std::optional<uint16_t> iterations;
+  int region = -1;  // -1: all
+  std::vector<std::pair<float Material::*, float>> changes;
+};
+struct SaveOrder {};
+struct LoadOrder {
+  std::string asset;
+  Body state;  // its arrays of node, gradients, hardening, edge_rest and tet_rest; sizes are not checked yet
+};
+using Order = std::variant<SpawnOrder, DespawnOrder, RepairOrder, ParametersOrder, SaveOrder, LoadOrder>;
+
+[[nodiscard]] Verdict decode(std::string_view key, const Limits&, Address&);
+// Bytes must be aligned to 8. On a refusal what came out is meaningless.
+[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Intents&);
+[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, ObstacleList&);
+[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Order&);
+
+// Of a recording.
+struct TickEnd {
+  uint64_t tick = 0, hash = 0, lost_inputs = 0;
+};
+[[nodiscard]] Verdict decode(std::span<const std::byte>, TickEnd&);
+
+// The change made; ranges are out_of_range()'s to check.
+void apply(const ParametersOrder&, Parameters&);
+
+}  // namespace crumple

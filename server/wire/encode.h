@@ -1,0 +1,50 @@
+// Plain structs -> bytes of every message but those about surfaces (surface.h): schema/message.fbs says what the fields mean.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "schema/message_generated.h"
+#include "sim/deform.h"
+#include "wire/decode.h"
+
+namespace crumple {
+
+// What one tick did to one car.
+struct CarReaction {
+  std::string car;
+  Motion motion;  // at the end of the tick
+  Response response;
+  double absorbed = 0, stored = 0;  // J
+};
+Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction>&);
+
+Bytes encode_answer(uint64_t tick, const Verdict&, const Bytes& state = {});
+Bytes encode_state(const std::string& asset, const Body&);
+Bytes encode_tick_end(const TickEnd&);
+
+struct HealthReport {
+  struct Room {
+    std::string name;
+    double mean, worst;  // seconds a tick
+  };
+  struct Count {
+    std::string name;
+    uint64_t value, limit;  // limit 0: none
+  };
+  uint64_t tick = 0;
+  double rate = 0;  // ticks a second
+  uint64_t late = 0;
+  std::vector<Room> rooms;
+  std::vector<Count> counts, refusals;
+};
+Bytes encode_health(const HealthReport&);
+
+template <class Table>
+Bytes finish(flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<Table> root) {
+  builder.Finish(root);
+  const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return Bytes(data, data + builder.GetSize());
+}
+
+}  // namespace crumple

@@ -1,0 +1,30 @@
+// What a message may hold, so that no sender can make a tick long or a number meaningless. A message past a limit is refused
+// whole; health shows each count beside its limit, and each refusal under its reason.
+#pragma once
+
+#include <cstdint>
+
+namespace crumple {
+
+struct Limits {
+  // A scene.
+  uint32_t cars = 1'000;  // what health and a recording can still be looked through
+  uint32_t hosts = 64;
+  uint32_t obstacles_per_host = 1'000;   // each costs a coarse test per car and tick
+  uint32_t hull_points_per_host = 4096;  // the faces of a hull are found by trying every three of its points
+  // A message.
+  uint32_t message_size = 8u << 20;  // bytes; zenoh's receive limit as the transport sets it
+  uint32_t id_length = 32;           // characters of a host's or car's id: a-z A-Z 0-9 _ -
+  // Numbers.
+  double farthest = 1e6;          // m from the origin; beyond it the float of a viewer is off by over 6 cm
+  double fastest = 500;           // m/s
+  double fastest_turn = 1'000;    // rad/s
+  double thinnest = 1e-3;         // m: no obstacle is thinner,
+  double widest = 1e4;            // m: nor wider; half-spaces are for that
+  double roughest = 10;           // Coulomb coefficient
+  double heaviest = 1e6;          // kg; beyond it no crash changes a car's motion
+  double greatest_inertia = 1e9;  // kg m^2
+  double farthest_center = 10;    // m from the car's origin to its centre of mass
+};
+
+}  // namespace crumple

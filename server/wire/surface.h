@@ -1,0 +1,57 @@
+// A car's surface on its way to the viewers. In: displacements of the surface vertices from rest. Out: keyframes and deltas,
+// each message below 64,000 bytes, so that it travels in one batch. Law: a delta is against the last keyframe, never against
+// another delta; what a viewer holds after keyframe and delta is what the server holds, or is told from it by the hash.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "sim/model.h"
+#include "wire/decode.h"
+
+namespace crumple {
+
+inline constexpr size_t part_size = 64'000;        // bytes that no keyframe or delta message reaches
+inline constexpr uint64_t keyframe_interval = 60;  // ticks between keyframes while deltas flow
+
+// Displacements in quanta, 3 a vertex: rounded half away from zero, clamped to +-32767.
+void quantise(std::span<const Vec3> vertex, std::span<const Vec3> rest, float quantum, std::span<int16_t> displacement);
+
+// XXH64 of the displacements, little endian, seed 0.
+uint64_t hash(std::span<const int16_t> displacement);
+
+// What all messages about one surface state.
+struct SurfaceHead {
+  uint64_t tick = 0;
+  std::string asset;
+  float quantum = 0;  // m
+};
+
+// The displacements in parts of consecutive vertices, each at most `largest` vertices.
+inline constexpr uint32_t keyframe_part = 10'000;  // vertices: 60,000 bytes
+std::vector<Bytes> encode_keyframe(const SurfaceHead&, std::span<const int16_t> displacement, uint32_t largest = keyframe_part);
+
+// The blocks that differ from the keyframe of tick `keyframe_tick`, in parts.
+std::vector<Bytes> encode_delta(const SurfaceHead&, std::span<const int16_t> displacement, uint64_t keyframe_tick,
+                                std::span<const int16_t> keyframe);
+
+// What the viewers of one car were told last.
+struct Told {
+  std::vector<int16_t> keyframe;  // displacement of the last keyframe
+  std::vector<int16_t> latest;    // of the last message
+  uint64_t keyframe_tick = 0;     // 0: nothing was sent yet
+  bool due = true;                // a keyframe must follow whatever comes: spawned, loaded, repaired
+  bool flowing = false;           // deltas were sent since the keyframe
+};
+
+// The next message of a car, if there is anything to tell: a keyframe where one is due, where the body came to rest after
+// deltas and every `keyframe_interval` ticks while they flow; a delta where anything changed; otherwise nothing.
+struct News {
+  enum class Kind { none, keyframe, delta } kind = Kind::none;
+  std::vector<Bytes> parts;
+};
+News tell(const SurfaceHead&, bool settled, std::span<const int16_t> displacement, Told&);
+
+}  // namespace crumple

@@ -1,0 +1,55 @@
+// The tick: bytes in, bytes out. A function of (world, inbox): it knows no clock, socket, file or thread count that could
+// change its answer, so serve, replay, tests and benchmarks all call the same one.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "asset/car.h"
+#include "wire/limits.h"
+
+namespace crumple {
+
+// One message as it came: the key below crumple/1/{scene}/ (such as "host/game/poses") and the payload.
+struct Message {
+  std::string key;
+  std::vector<std::byte> bytes;
+  uint64_t ticket = 0;  // of a query, given back with its answer; 0 for samples
+  bool failed = false;  // of an answer: a schema Answer with the reason, where something else was asked for
+};
+
+using Inbox = std::vector<Message>;
+// What a tick gives back: samples to publish, and answers (ticket != 0) to the queries of the inbox.
+using Outbox = std::vector<Message>;
+
+struct World;  // cars, hosts, obstacles, counters: server/state.h
+struct WorldDeleter {
+  void operator()(World*) const;
+};
+using WorldHandle = std::unique_ptr<World, WorldDeleter>;
+
+// rate: ticks a second. quantum: of the surface, m.
+WorldHandle make_world(double rate, float quantum, const Limits& = {});
+// A car that may be spawned from now on; to be called between ticks.
+void add_asset(World&, std::shared_ptr<const Car>);
+
+// One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
+void tick(World&, const Inbox&, Outbox&, int threads);
+
+// Everything that the next tick depends on. The same after the same inboxes, for any thread count.
+uint64_t hash(const World&);
+// Ticks done. The first is 1, so that 0 can stand for none.
+uint64_t tick_count(const World&);
+
+// Times in health come from the caller's clock (seconds since any start; several threads ask it at once); none: no times.
+void set_clock(World&, std::function<double()> clock);
+// Health (key "health"): times of the ticks since the last call, counts and refusals since the start. late: ticks that the
+// caller could not start in time. more_counts: the caller's own, such as what the transport dropped.
+Message health(World&, uint64_t late, const std::vector<std::pair<std::string, uint64_t>>& more_counts);
+// Refusals since the start, and the sentence of the last one: for the log of whoever runs the server.
+uint64_t refusal_count(const World&);
+const std::string& last_refusal(const World&);
+
+}  // namespace crumple

@@ -1,0 +1,152 @@
+// A host for tests: the messages that hosts send, written with the schema's own code, and what a viewer makes of the answers.
+// The viewer is the plain twin of the client library's: whole messages, no judgement.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "schema/message_generated.h"
+#include "wire/decode.h"
+#include "world.h"
+
+namespace crumple::host {
+
+using Builder = flatbuffers::FlatBufferBuilder;
+
+template <class Table>
+Bytes done(Builder& builder, flatbuffers::Offset<Table> root) {
+  builder.Finish(root);
+  const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return Bytes(data, data + builder.GetSize());
+}
+
+inline schema::Pose pose_at(double x, double y = 0, double z = 0) { return {{x, y, z}, {0, 0, 0, 1}}; }
+
+struct CarPose {
+  std::string car;
+  schema::Pose pose = pose_at(0);
+  schema::Vec3 velocity{0, 0, 0};
+  schema::Vec3 angular_velocity{0, 0, 0};
+  uint64_t seen = 0;
+};
+
+inline Bytes poses(uint64_t sequence, const std::vector<CarPose>& cars, double time = 0) {
+  Builder builder;
+  std::vector<flatbuffers::Offset<schema::CarPose>> list;
+  for (const CarPose& car : cars) {
+    list.push_back(
+        schema::CreateCarPoseDirect(builder, car.car.c_str(), &car.pose, &car.velocity, &car.angular_velocity, car.seen));
+  }
+  return done(builder, schema::CreatePosesDirect(builder, sequence, time, &list));
+}
+
+struct Thing {
+  uint32_t id = 1;
+  schema::Shape shape = schema::Shape::box;
+  schema::Vec3 size{0.5f, 5, 5};
+  schema::Pose pose = pose_at(0);
+  schema::Vec3 velocity{0, 0, 0};
+  float friction = 0.3f;
+  std::vector<schema::Vec3> points = {};
+};
+
+inline Bytes obstacles(uint64_t sequence, const std::vector<Thing>& things) {
+  Builder builder;
+  std::vector<flatbuffers::Offset<schema::Obstacle>> list;
+  for (const Thing& thing : things) {
+    const schema::Vec3 turn(0, 0, 0);
+    list.push_back(schema::CreateObstacleDirect(builder, thing.id, thing.shape, &thing.size,
+                                                thing.points.empty() ? nullptr : &thing.points, &thing.pose, &thing.velocity,
+                                                &turn, thing.friction));
+  }
+  return done(builder, schema::CreateObstaclesDirect(builder, sequence, &list));
+}
+
+template <class Table>
+Bytes command(Builder& builder, flatbuffers::Offset<Table> order) {
+  return done(builder, schema::CreateCommand(builder, schema::OrderTraits<Table>::enum_value, order.Union()));
+}
+
+inline Bytes spawn(const std::string& asset, const std::string& owner, const schema::Pose& pose = pose_at(0), float mass = 0) {
+  Builder builder;
+  return command(builder, schema::CreateSpawnDirect(builder, asset.c_str(), owner.c_str(), &pose, mass));
+}
+inline Bytes despawn() {
+  Builder builder;
+  return command(builder, schema::CreateDespawn(builder));
+}
+inline Bytes repair(float amount) {
+  Builder builder;
+  return command(builder, schema::CreateRepair(builder, amount));
+}
+inline Bytes save() {
+  Builder builder;
+  return command(builder, schema::CreateSave(builder));
+}
+inline Bytes load(const Bytes& state) {
+  Builder builder;
+  const std::vector<uint8_t> bytes(reinterpret_cast<const uint8_t*>(state.data()),
+                                   reinterpret_cast<const uint8_t*>(state.data()) + state.size());
+  return command(builder, schema::CreateLoadDirect(builder, &bytes));
+}
+// `fill` sets the fields: [](schema::ParametersBuilder& p) { p.add_yield(0.1f); }
+template <class Fill>
+Bytes parameters(Fill fill) {
+  Builder builder;
+  schema::ParametersBuilder order(builder);
+  fill(order);
+  return command(builder, order.Finish());
+}
+
+template <class Table>
+const Table* read_as(const Bytes& bytes) {
+  const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
+  flatbuffers::Verifier verifier(data, bytes.size());
+  if (!verifier.VerifyBuffer<Table>(nullptr)) {
+    ADD_FAILURE() << "a message of the server is malformed";
+    return nullptr;
+  }
+  return flatbuffers::GetRoot<Table>(data);
+}
+
+// The surface that a viewer holds after keyframes and deltas, each applied whole as it comes.
+struct Viewer {
+  std::vector<int16_t> key, held;
+  uint64_t key_tick = 0, tick = 0, hash = 0;
+
+  void take_keyframe(const Bytes& bytes) {
+    const auto* keyframe = read_as<schema::Keyframe>(bytes);
+    if (!keyframe || keyframe->tick() < key_tick) return;
+    key.resize(3 * keyframe->vertex_count());
+    std::copy(keyframe->displacement()->begin(), keyframe->displacement()->end(), key.begin() + 3 * keyframe->first());
+    key_tick = keyframe->tick();
+    if (key_tick < tick) return;
+    held = key;
+    tick = key_tick;
+    hash = keyframe->hash();
+  }
+  void take_delta(const Bytes& bytes) {
+    const auto* delta = read_as<schema::Delta>(bytes);
+    if (!delta || delta->keyframe() != key_tick || delta->tick() < tick) return;
+    uint32_t from = 0;
+    for (uint32_t i = 0; i < 64 * delta->changed()->size(); ++i) {
+      const uint32_t start = delta->first() + 64 * i, end = std::min(start + 64, delta->vertex_count());
+      const bool changed = delta->changed()->Get(i / 64) >> (i % 64) & 1;
+      for (uint32_t k = 3 * start; k < 3 * end; ++k) {
+        held[k] = changed ? int16_t(uint16_t(key[k]) + uint16_t(delta->difference()->Get(from++))) : key[k];
+      }
+    }
+    EXPECT_EQ(from, delta->difference()->size());
+    tick = delta->tick();
+    hash = delta->hash();
+  }
+  void take(const Message& message) {
+    if (message.key.ends_with("/key")) take_keyframe(message.bytes);
+    if (message.key.ends_with("/delta/0")) take_delta(message.bytes);
+  }
+};
+
+}  // namespace crumple::host

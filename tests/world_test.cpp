@@ -1,0 +1,672 @@
+// The tick from outside: bytes in, bytes out. What hosts may do, what they may not, what viewers hold, and that the same
+// messages give the same world whatever the number of threads.
+#include <gtest/gtest.h>
+#include <tbb/global_control.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "box_car.h"
+#include "host.h"
+#include "reconcile.h"
+#include "state.h"
+
+namespace crumple {
+namespace {
+
+using host::CarPose;
+using host::pose_at;
+using host::Thing;
+
+const std::shared_ptr<const Car>& box() {
+  static const auto car = box_car({6, 3, 2});
+  return car;
+}
+// One cell of six tets: for tests that need thousands of worlds.
+const std::shared_ptr<const Car>& cell() {
+  static const auto car = box_car({1, 1, 1});
+  return car;
+}
+
+// A world, and messages to it.
+struct Scene {
+  WorldHandle world;
+  Outbox outbox;
+  uint64_t ticket = 0;
+  int threads = 1;
+
+  explicit Scene(const std::shared_ptr<const Car>& car = box(), const Limits& limits = {}, double rate = 60)
+      : world(make_world(rate, 0.0005f, limits)) {
+    add_asset(*world, car);
+  }
+  const Outbox& step(const Inbox& inbox = {}) {
+    tick(*world, inbox, outbox, threads);
+    return outbox;
+  }
+  // The answer to a command: "" if it was done, else the sentence.
+  std::string ask(const std::string& car, const Bytes& bytes, Bytes* state = nullptr) {
+    step({{"car/" + car, bytes, ++ticket}});
+    for (const Message& message : outbox) {
+      if (message.ticket != ticket) continue;
+      const auto* answer = host::read_as<schema::Answer>(message.bytes);
+      EXPECT_EQ(answer->tick(), tick_count(*world));
+      if (state && answer->state()) {
+        const auto* data = reinterpret_cast<const std::byte*>(answer->state()->data());
+        state->assign(data, data + answer->state()->size());
+      }
+      return answer->ok() ? "" : answer->sentence()->str();
+    }
+    return "no answer";
+  }
+  void spawn(const std::string& car, const std::string& host = "game", const schema::Pose& pose = pose_at(0)) {
+    EXPECT_EQ(ask(car, host::spawn(world->assets.begin()->first, host, pose)), "");
+  }
+  Instance& car(const std::string& id) { return world->cars.at(id); }
+  uint64_t refused(Reason reason) const { return world->tally.refusals[size_t(reason)]; }
+  std::vector<const Message*> sent(const std::string& key) const {
+    std::vector<const Message*> out;
+    for (const Message& message : outbox) {
+      if (message.key == key && message.ticket == 0) out.push_back(&message);
+    }
+    return out;
+  }
+};
+
+bool finite(const World& world) {
+  for (const auto& [id, car] : world.cars) {
+    if (!car.motion.pose.position.allFinite() || !car.motion.velocity.allFinite() || !car.motion.angular_velocity.allFinite()) {
+      return false;
+    }
+    if (!std::all_of(car.body.node.begin(), car.body.node.end(), [](const Vec3& node) { return node.allFinite(); }))
+      return false;
+  }
+  return true;
+}
+
+// A wall whose face is at x.
+Thing wall(float x, uint32_t id = 1) { return {id, schema::Shape::box, {0.5f, 5, 5}, pose_at(double(x) + 0.5, 0, 1)}; }
+
+// One car at 14 m/s into a wall 0.1 m before its nose; the host takes what it is told, one tick late.
+void crash(
+    Scene& scene, int ticks, const std::function<void(const Outbox&)>& see = [](const Outbox&) {}) {
+  scene.spawn("a");
+  see(scene.outbox);
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall(2.35f)})}});
+  see(scene.outbox);
+  CarPose car{"a", pose_at(0), {14, 0, 0}};
+  car.seen = tick_count(*scene.world);
+  for (int k = 0; k < ticks; ++k) {
+    scene.step({{"host/game/poses", host::poses(uint64_t(k + 1), {car})}});
+    see(scene.outbox);
+    car.pose = pose_at(car.pose.position().x() + double(car.velocity.x()) / 60);
+    for (const Message* message : scene.sent("host/game/reactions")) {
+      const auto* reactions = host::read_as<schema::Reactions>(message->bytes);
+      const auto* reaction = reactions->cars()->Get(0);
+      car = {"a", *reaction->pose(), *reaction->velocity(), *reaction->angular_velocity(), reactions->tick()};
+    }
+  }
+}
+
+// ---- reconciliation ---------------------------------------------------------------------------------------------------------
+
+struct Meeting {
+  Motion own;
+  Intent intent;
+  ImpulseLog log;
+  Meeting(double own_x, double x, double speed, uint64_t seen) {
+    own.pose.position.x() = own_x;
+    intent.motion.pose.position.x() = x;
+    intent.motion.velocity.x() = speed;
+    intent.seen = seen;
+  }
+  void change(uint64_t tick, double speed, double turn) { log.add({tick, {speed, 0, 0}, {0, 0, turn}}); }
+  Motion at(uint64_t now, bool touching) const { return reconcile(own, intent, log, now, touching); }
+};
+
+TEST(Reconcile, WithoutContactsTheHostsMotionIsTaken) {
+  const Motion motion = Meeting(1, 2, 10, 5).at(8, false);
+  EXPECT_EQ(motion.pose.position.x(), 2);
+  EXPECT_EQ(motion.velocity.x(), 10);
+}
+
+TEST(Reconcile, AddsTheImpulsesThatTheHostHasNotSeen) {
+  Meeting meeting(1, 2, 10, 5);
+  meeting.change(4, -100, 9);  // seen
+  meeting.change(5, -100, 9);  // seen
+  meeting.change(6, -3, 0.5);
+  meeting.change(7, -2, 0.25);
+  const Motion motion = meeting.at(8, false);
+  EXPECT_EQ(motion.velocity.x(), 5);
+  EXPECT_EQ(motion.angular_velocity.z(), 0.75);
+  EXPECT_EQ(motion.pose.position.x(), 1) << "contacts win over the path until the host knows of them";
+}
+
+TEST(Reconcile, AHostThatHasSeenAllIsFollowedOnceNothingTouches) {
+  Meeting meeting(1, 2, 10, 7);
+  meeting.change(7, -3, 0);
+  EXPECT_EQ(meeting.at(8, false).velocity.x(), 10);
+  EXPECT_EQ(meeting.at(8, false).pose.position.x(), 2);
+  EXPECT_EQ(meeting.at(8, true).pose.position.x(), 1);
+}
+
+TEST(Reconcile, AScriptedCarKeepsItsVelocityAndYieldsItsPathOnlyWhileTouching) {
+  Meeting meeting(1, 2, 10, 0);
+  meeting.change(6, -3, 0);
+  EXPECT_EQ(meeting.at(8, false).velocity.x(), 10);
+  EXPECT_EQ(meeting.at(8, false).pose.position.x(), 2);
+  EXPECT_EQ(meeting.at(8, true).velocity.x(), 10);
+  EXPECT_EQ(meeting.at(8, true).pose.position.x(), 1);
+}
+
+TEST(Reconcile, AJumpOfMoreThanFiveMetresIsATeleport) {
+  EXPECT_EQ(Meeting(0, 5, 0, 0).at(8, true).pose.position.x(), 0);
+  EXPECT_EQ(Meeting(0, 5.001, 0, 0).at(8, true).pose.position.x(), 5.001);
+}
+
+TEST(Reconcile, TheLogHolds64Ticks) {
+  Meeting meeting(0, 0, 0, 1);
+  for (uint64_t k = 1; k <= 100; ++k) meeting.change(k, 1, 0);
+  EXPECT_EQ(meeting.at(101, false).velocity.x(), 64);
+  EXPECT_EQ(meeting.at(200, false).velocity.x(), 0) << "what is older is forgotten";
+  meeting.intent.seen = std::numeric_limits<uint64_t>::max();
+  EXPECT_EQ(meeting.at(101, false).velocity.x(), 0);
+}
+
+// ---- hosts and commands -----------------------------------------------------------------------------------------------------
+
+TEST(World, ACarFollowsItsHostAndThenItsOwnVelocity) {
+  Scene scene;
+  scene.spawn("a");
+  scene.step({{"host/game/poses", host::poses(1, {{"a", pose_at(10), {6, 0, 0}}})}});
+  EXPECT_NEAR(scene.car("a").motion.pose.position.x(), 10.1, 1e-9);
+  scene.step();
+  EXPECT_NEAR(scene.car("a").motion.pose.position.x(), 10.2, 1e-9);
+  EXPECT_TRUE(scene.outbox.empty()) << "a car that nothing touches tells nobody anything";
+}
+
+TEST(World, TheLatestPoseOfAnInboxCounts) {
+  Scene scene;
+  scene.spawn("a");
+  scene.step(
+      {{"host/game/poses", host::poses(1, {{"a", pose_at(1)}})}, {"host/game/poses", host::poses(2, {{"a", pose_at(2)}})}});
+  EXPECT_EQ(scene.car("a").motion.pose.position.x(), 2);
+}
+
+TEST(World, APoseOfAnUnknownCarOrOfAnotherHostsCarIsCountedAndSkipped) {
+  Scene scene;
+  scene.spawn("a", "game");
+  scene.spawn("b", "other");
+  scene.step({{"host/game/poses", host::poses(1, {{"x"}, {"b", pose_at(5)}, {"a", pose_at(5)}})}});
+  EXPECT_EQ(scene.refused(Reason::unknown_car), 1u);
+  EXPECT_EQ(scene.refused(Reason::not_owner), 1u);
+  EXPECT_NE(last_refusal(*scene.world).find("car b is host other's, not game's"), std::string::npos);
+  EXPECT_EQ(scene.car("a").motion.pose.position.x(), 5);
+  EXPECT_EQ(scene.car("b").motion.pose.position.x(), 0);
+  scene.step({{"host/stranger/poses", host::poses(1, {{"a", pose_at(7)}})}});
+  EXPECT_EQ(scene.refused(Reason::unknown_host), 1u);
+  EXPECT_EQ(scene.car("a").motion.pose.position.x(), 5);
+}
+
+TEST(World, ASequenceThatIsNotAboveTheLastIsDropped) {
+  Scene scene;
+  scene.spawn("a");
+  for (uint64_t sequence : {5u, 5u, 4u})
+    scene.step({{"host/game/poses", host::poses(sequence, {{"a", pose_at(double(sequence))}})}});
+  EXPECT_EQ(scene.car("a").motion.pose.position.x(), 5);
+  EXPECT_EQ(scene.refused(Reason::stale_sequence), 2u);
+  EXPECT_NE(last_refusal(*scene.world).find("poses: sequence is 4; above 5"), std::string::npos);
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall(50)})}, {"host/game/obstacles", host::obstacles(1, {})}});
+  EXPECT_EQ(scene.refused(Reason::stale_sequence), 3u);
+  EXPECT_EQ(scene.world->obstacles.size(), 1u);
+}
+
+TEST(World, ABadEntryRefusesTheWholeMessage) {
+  Scene scene;
+  scene.spawn("a");
+  scene.spawn("b");
+  scene.step({{"host/game/poses", host::poses(1, {{"a", pose_at(5)}, {"b", pose_at(5), {501, 0, 0}}})}});
+  EXPECT_EQ(scene.car("a").motion.pose.position.x(), 0);
+  EXPECT_EQ(scene.refused(Reason::out_of_range), 1u);
+}
+
+TEST(World, ObstaclesStandInTheOrderOfHostsAndIdsAndAListReplacesItsHosts) {
+  Scene scene;
+  const auto at = [](uint32_t id, double x) { return Thing{id, schema::Shape::sphere, {1, 0, 0}, pose_at(x)}; };
+  const auto order = [&] {
+    std::string text;
+    for (const Obstacle& obstacle : scene.world->obstacles) text += std::to_string(int(obstacle.pose.position.x())) + ' ';
+    return text;
+  };
+  scene.step({{"host/m/obstacles", host::obstacles(1, {at(2, 102), at(1, 101)})},
+              {"host/z/obstacles", host::obstacles(1, {at(1, 201)})},
+              {"host/b/obstacles", host::obstacles(1, {at(9, 9), at(3, 3), at(7, 7)})}});
+  EXPECT_EQ(order(), "3 7 9 101 102 201 ");
+  scene.step({{"host/m/obstacles", host::obstacles(2, {at(4, 104)})}});
+  EXPECT_EQ(order(), "3 7 9 104 201 ");
+  scene.step({{"host/b/obstacles", host::obstacles(2, {})}});
+  EXPECT_EQ(order(), "104 201 ");
+  EXPECT_FALSE(scene.world->hosts.contains("b")) << "a host with neither cars nor obstacles is gone";
+}
+
+TEST(World, AnObstacleMovesOnUntilTheNextMessage) {
+  Scene scene;
+  Thing ball{1, schema::Shape::sphere, {1, 0, 0}, pose_at(100)};
+  ball.velocity = {-6, 0, 0};
+  scene.step({{"host/game/obstacles", host::obstacles(1, {ball})}});
+  scene.step();
+  EXPECT_NEAR(scene.world->obstacles[0].pose.position.x(), 99.8, 1e-9);
+}
+
+TEST(World, AMovingObstacleDentsACarThatStands) {
+  Scene scene;
+  scene.spawn("a");
+  Thing ball{1, schema::Shape::sphere, {0.5f, 0, 0}, pose_at(3, 0, 0.75)};
+  ball.velocity = {-12, 0, 0};
+  scene.step({{"host/other/obstacles", host::obstacles(1, {ball})}});
+  for (int k = 0; k < 10; ++k) scene.step();
+  EXPECT_GT(scene.car("a").body.absorbed, 0);
+  EXPECT_LT(scene.car("a").motion.velocity.x(), 0) << "all hosts' obstacles act on all cars";
+}
+
+TEST(World, CommandsAreRefusedWithSentencesThatNameTheRemedy) {
+  Limits limits;
+  limits.cars = 2;
+  limits.hosts = 1;
+  Scene scene(box(), limits);
+  const auto says = [](const std::string& sentence, const char* words) {
+    EXPECT_NE(sentence.find(words), std::string::npos) << sentence;
+  };
+  says(scene.ask("a", host::repair(1)), "car a does not live here; spawn it first");
+  says(scene.ask("a", host::spawn("ffffffffffffffff", "game")), "asset ffffffffffffffff is not one of this server's");
+  scene.spawn("a");
+  says(scene.ask("a", host::spawn(box()->hash, "game")), "car a lives already; despawn it first");
+  says(scene.ask("b", host::spawn(box()->hash, "other")), "host other would be one more than the 1 hosts");
+  scene.spawn("b");
+  says(scene.ask("c", host::spawn(box()->hash, "game")), "car c would be one more than the 2 cars");
+  says(scene.ask("a", host::parameters([](auto& p) { p.add_yield(2); })),
+       "parameters.yield of region 0 is 2; allowed are 0 to 1");
+  says(scene.ask("a", host::parameters([](auto& p) { p.add_iterations(0); })), "iterations is 0");
+  says(scene.ask("a", host::parameters([](auto& p) { p.add_region(1); })), "this car's regions are 0 to 0");
+  EXPECT_EQ(scene.car("a").parameters, Parameters{});
+  EXPECT_EQ(scene.ask("a", host::parameters([](auto& p) { p.add_yield(0.5f); })), "");
+  EXPECT_EQ(scene.car("a").parameters.region[0].yield, 0.5f);
+  EXPECT_EQ(scene.ask("a", host::despawn()), "");
+  says(scene.ask("a", host::despawn()), "car a does not live here");
+  says(scene.ask("a/b/c", host::despawn()), "key \"car/a/b/c\" is none of");
+}
+
+TEST(World, SpawnTakesTheBakedMassOrScalesTheBakedInertia) {
+  Scene scene;
+  scene.spawn("a");
+  EXPECT_EQ(scene.car("a").mass.mass, 1200);
+  EXPECT_EQ(scene.ask("b", host::spawn(box()->hash, "game", pose_at(0), 2400)), "");
+  EXPECT_EQ(scene.car("b").mass.mass, 2400);
+  EXPECT_DOUBLE_EQ(scene.car("b").mass.inertia.z(), 2 * scene.car("a").mass.inertia.z());
+}
+
+// ---- a crash ----------------------------------------------------------------------------------------------------------------
+
+TEST(World, ACrashDentsTheCarStopsItAndTellsTheHost) {
+  Scene scene;
+  double impulse = 0;
+  uint64_t told = 0;
+  crash(scene, 60, [&](const Outbox&) {
+    for (const Message* message : scene.sent("host/game/reactions")) {
+      const auto* reaction = host::read_as<schema::Reactions>(message->bytes)->cars()->Get(0);
+      impulse += double(reaction->impulse()->x());
+      ++told;
+    }
+  });
+  const Instance& car = scene.car("a");
+  EXPECT_GT(told, 30u) << "a host is told until 30 ticks after the last touch";
+  EXPECT_LT(car.motion.velocity.x(), 1) << "a host that follows the reactions is stopped";
+  EXPECT_NEAR(impulse, 1200 * (car.motion.velocity.x() - 14), 1200 * 0.01) << "no impulse lost or counted twice";
+  EXPECT_LT(car.motion.pose.position.x(), 1.5);
+  EXPECT_GT(car.body.absorbed, 0.5 * 0.5 * 1200 * 14 * 14) << "most of the energy stays in the dent";
+  EXPECT_TRUE(finite(*scene.world));
+}
+
+TEST(World, AHostThatIsStillForAMomentIsToldWhatItMissed) {
+  Scene scene;
+  crash(scene, 12);
+  const auto* reactions = host::read_as<schema::Reactions>(scene.sent("host/game/reactions").at(0)->bytes);
+  EXPECT_EQ(reactions->tick(), tick_count(*scene.world));
+  EXPECT_EQ(reactions->cars()->Get(0)->car()->str(), "a");
+  EXPECT_NEAR(double(reactions->cars()->Get(0)->velocity()->x()), scene.car("a").motion.velocity.x(), 1e-5);
+}
+
+std::vector<uint64_t> hashes_of_a_pile_up(int threads) {
+  Scene scene;
+  scene.threads = threads;
+  std::vector<uint64_t> hashes;
+  Inbox inbox = {
+      {"host/game/obstacles", host::obstacles(1, {wall(2.3f), {2, schema::Shape::capsule, {0.2f, 2, 0}, pose_at(2.4, 0.5)}})}};
+  for (int k = 0; k < 6; ++k) {
+    inbox.push_back({"car/" + std::to_string(k), host::spawn(box()->hash, "game", pose_at(0, 0.3 * k)), uint64_t(k + 1)});
+  }
+  std::vector<CarPose> cars;
+  for (int k = 0; k < 6; ++k) cars.push_back({std::to_string(k), pose_at(0, 0.3 * k), {float(6 + 2 * k), 0, 0}});
+  inbox.push_back({"host/game/poses", host::poses(1, cars)});
+  for (int k = 0; k < 12; ++k) {
+    scene.step(k == 0 ? inbox : Inbox{});
+    hashes.push_back(hash(*scene.world));
+  }
+  return hashes;
+}
+
+TEST(World, IsTheSameBitForBitWithOneTwoAndFourThreads) {
+  const tbb::global_control four(tbb::global_control::max_allowed_parallelism, 4);
+  const auto one = hashes_of_a_pile_up(1);
+  EXPECT_EQ(std::adjacent_find(one.begin(), one.end()), one.end()) << "every tick changes the hash";
+  EXPECT_EQ(hashes_of_a_pile_up(2), one);
+  EXPECT_EQ(hashes_of_a_pile_up(4), one);
+}
+
+// ---- what viewers hold ------------------------------------------------------------------------------------------------------
+
+struct Frame {
+  uint64_t tick;
+  std::vector<Message> messages;
+  std::vector<int16_t> surface;  // the server's
+};
+
+// A heavy car is pressed by a slow wall, which then goes away: as its viewers see it, long enough for keyframes in between.
+const std::vector<Frame>& film() {
+  static const std::vector<Frame> frames = [] {
+    Scene scene;
+    std::vector<Frame> out;
+    Thing press = wall(2.25f);
+    press.velocity = {-0.4f, 0, 0};
+    for (uint64_t k = 0; k < 90; ++k) {
+      Inbox inbox;
+      if (k == 0) inbox = {{"car/a", host::spawn(box()->hash, "game", pose_at(0), 1e6f)}};
+      if (k == 2) inbox = {{"host/game/obstacles", host::obstacles(1, {press})}};
+      if (k == 80) inbox = {{"host/game/obstacles", host::obstacles(2, {})}};
+      inbox.push_back({"host/game/poses", host::poses(k + 1, {{"a"}})});  // scripted: it stands
+      scene.step(inbox);
+      Frame frame{tick_count(*scene.world), {}, scene.car("a").told.latest};
+      for (const Message& message : scene.outbox) {
+        if (message.key.starts_with("car/a/")) frame.messages.push_back(message);
+      }
+      out.push_back(frame);
+    }
+    return out;
+  }();
+  return frames;
+}
+
+bool is_key(const Message& message) { return message.key == "car/a/key"; }
+
+TEST(Viewers, AnIdleCarSendsItsKeyframeAndThenNothing) {
+  Scene scene;
+  scene.spawn("a");
+  EXPECT_EQ(scene.sent("car/a/key").size(), 1u);
+  for (int k = 0; k < 100; ++k) EXPECT_TRUE(scene.step().empty());
+}
+
+TEST(Viewers, ALateJoinerHoldsTheSurfaceAfterTheKeyframeAndAnyLaterDelta) {
+  size_t joined = 0, keyframes = 0;
+  Message keyframe;
+  for (const Frame& frame : film()) {
+    for (const Message& message : frame.messages) {
+      if (is_key(message)) {
+        keyframe = message;
+        ++keyframes;
+        continue;
+      }
+      host::Viewer joiner;
+      joiner.take(keyframe);
+      joiner.take(message);
+      ASSERT_EQ(joiner.held, frame.surface) << "tick " << frame.tick;
+      ASSERT_EQ(joiner.tick, frame.tick);
+      ASSERT_EQ(joiner.hash, hash(std::span<const int16_t>(frame.surface)));
+      ++joined;
+    }
+  }
+  EXPECT_GT(joined, 60u);
+  EXPECT_EQ(keyframes, 3u) << "at spawn, after 60 ticks of deltas, and when the car has come to rest";
+  const std::vector<int16_t>& dent = film().back().surface;
+  EXPECT_LT(*std::min_element(dent.begin(), dent.end()), -800) << "0.4 m in quanta of 0.5 mm";
+}
+
+TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
+  host::Viewer all, some;
+  int count = 0;
+  for (const Frame& frame : film()) {
+    for (const Message& message : frame.messages) {
+      all.take(message);
+      if (!is_key(message) && ++count % 3 == 0) continue;  // lost
+      some.take(message);
+      some.take(message);
+      ASSERT_EQ(some.held, all.held) << "tick " << frame.tick;
+    }
+    ASSERT_EQ(all.held, frame.surface) << "tick " << frame.tick;
+  }
+}
+
+TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
+  Scene scene;
+  crash(scene, 2);
+  scene.step({{"car/a/key", {}, 77}});
+  host::Viewer viewer;
+  for (const Message& message : scene.outbox) {
+    if (message.ticket != 77) continue;
+    EXPECT_FALSE(message.failed);
+    viewer.take_keyframe(message.bytes);
+  }
+  ASSERT_EQ(viewer.key.size(), 3 * box()->model.vertex.size());
+  ASSERT_EQ(scene.sent("car/a/delta/0").size(), 1u);
+  viewer.take(*scene.sent("car/a/delta/0")[0]);
+  EXPECT_EQ(viewer.held, scene.car("a").told.latest);
+  scene.step({{"car/b/key", {}, 78}});
+  const auto answer = std::find_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket == 78; });
+  ASSERT_NE(answer, scene.outbox.end());
+  EXPECT_TRUE(answer->failed);
+  EXPECT_EQ(host::read_as<schema::Answer>(answer->bytes)->sentence()->str(), "car b does not live here; it has no keyframe");
+}
+
+// ---- save, load, repair
+// -------------------------------------------------------------------------------------------------------
+
+TEST(State, SavedAndLoadedItIsTheSameCar) {
+  Scene scene;
+  crash(scene, 150);
+  Bytes saved, again;
+  ASSERT_EQ(scene.ask("a", host::save(), &saved), "");
+  Scene other;
+  other.spawn("b");
+  ASSERT_EQ(other.ask("b", host::load(saved)), "");
+  EXPECT_EQ(other.sent("car/b/key").size(), 1u) << "viewers are told at once";
+  ASSERT_EQ(scene.ask("a", host::save(), &again), "");
+  EXPECT_EQ(saved, again) << "saving changes nothing";
+  const Body &from = scene.car("a").body, &to = other.car("b").body;
+  ASSERT_EQ(from.node.size(), to.node.size());
+  for (size_t i = 0; i < from.node.size(); ++i) ASSERT_LT((from.node[i] - to.node[i]).norm(), 1e-3f) << "node " << i;
+}
+
+TEST(State, LoadingTheSameStateInTwoWorldsGivesTheSameHash) {
+  Scene crashed;
+  crash(crashed, 30);
+  Bytes saved;
+  ASSERT_EQ(crashed.ask("a", host::save(), &saved), "");
+  uint64_t hashes[2];
+  for (uint64_t& sum : hashes) {
+    Scene scene;
+    scene.spawn("a");
+    ASSERT_EQ(scene.ask("a", host::load(saved)), "");
+    for (int k = 0; k < 5; ++k) scene.step();
+    sum = hash(*scene.world);
+  }
+  EXPECT_EQ(hashes[0], hashes[1]);
+}
+
+TEST(State, AnUndamagedCarIsTheSameAfterSaveLoadAndRepair) {
+  Scene scene, plain;
+  scene.spawn("a");
+  plain.spawn("a");
+  Bytes saved;
+  ASSERT_EQ(scene.ask("a", host::save(), &saved), "");
+  ASSERT_EQ(scene.ask("a", host::load(saved)), "");
+  ASSERT_EQ(scene.ask("a", host::repair(1)), "");
+  for (int k = 0; k < 3; ++k) plain.step();
+  EXPECT_EQ(hash(scene.car("a").body), hash(plain.car("a").body));
+}
+
+TEST(State, RepairGivesBackTheUndamagedSurface) {
+  Scene scene;
+  crash(scene, 60);
+  scene.step({{"host/game/obstacles", host::obstacles(2, {})}});
+  ASSERT_EQ(scene.ask("a", host::repair(1)), "");
+  const auto& surface = scene.car("a").told.latest;
+  EXPECT_EQ(std::count(surface.begin(), surface.end(), 0), ptrdiff_t(surface.size()));
+  EXPECT_EQ(scene.car("a").body.node, make_body(box()->model).node);
+  EXPECT_EQ(scene.sent("car/a/key").size(), 1u);
+}
+
+TEST(State, OfAnotherCarIsRefusedAndLeavesTheCarAsItWas) {
+  Scene scene, other(cell());
+  scene.spawn("a");
+  other.spawn("a");
+  Bytes saved;
+  ASSERT_EQ(other.ask("a", host::save(), &saved), "");
+  const uint64_t before = hash(scene.car("a").body);
+  EXPECT_NE(scene.ask("a", host::load(saved)).find("load.state.asset is " + cell()->hash), std::string::npos);
+  EXPECT_EQ(scene.refused(Reason::bad_state), 1u);
+  EXPECT_EQ(hash(scene.car("a").body), before);
+}
+
+// ---- health -----------------------------------------------------------------------------------------------------------------
+
+TEST(Health, ShowsRefusalsByReasonCountsAgainstLimitsAndTimesByRoom) {
+  Scene scene;
+  std::atomic<int> now = 0;
+  set_clock(*scene.world, [&] { return 0.001 * now++; });
+  crash(scene, 10);
+  scene.step({{"host/game/poses", Bytes(7)}, {"nonsense", {}}});
+  const Message message = health(*scene.world, 3, {{"dropped", 4}});
+  EXPECT_EQ(message.key, "health");
+  const auto* health = host::read_as<schema::Health>(message.bytes);
+  std::map<std::string, uint64_t> counts, refusals;
+  std::map<std::string, float> rooms;
+  for (const auto* count : *health->counts()) counts[count->name()->str()] = count->value();
+  for (const auto* count : *health->refusals()) refusals[count->name()->str()] = count->value();
+  for (const auto* room : *health->rooms()) rooms[room->name()->str()] = room->milliseconds();
+  EXPECT_EQ(health->tick(), tick_count(*scene.world));
+  EXPECT_EQ(health->late(), 3u);
+  EXPECT_EQ(counts["cars"], 1u);
+  EXPECT_EQ(counts["obstacles"], 1u);
+  EXPECT_EQ(counts["dropped"], 4u);
+  EXPECT_EQ(refusals["malformed"], 1u);
+  EXPECT_EQ(refusals["bad_key"], 1u);
+  EXPECT_EQ(refusals["out_of_range"], 0u);
+  for (const char* room : {"decode", "contacts", "solve", "flow", "skin", "tick"}) EXPECT_GT(rooms[room], 0) << room;
+  EXPECT_EQ(refusal_count(*scene.world), 2u);
+}
+
+TEST(Health, TheClockHasNoInfluenceOnTheWorld) {
+  Scene timed, plain;
+  set_clock(*timed.world, [] { return 1.0; });
+  crash(timed, 10);
+  crash(plain, 10);
+  EXPECT_EQ(hash(*timed.world), hash(*plain.world));
+}
+
+// ---- hostile ----------------------------------------------------------------------------------------------------------------
+
+struct Sample {
+  const char* name;
+  std::string key;
+  Bytes bytes;
+};
+
+// One message of each kind, as small as it can be without losing a field.
+std::vector<Sample> samples() {
+  Scene scene(cell());
+  scene.spawn("a");
+  Bytes state;
+  scene.ask("a", host::save(), &state);
+  Thing hull{4, schema::Shape::hull};
+  hull.points = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  return {
+      {"poses", "host/game/poses", host::poses(9, {{"a", pose_at(0.1), {1, 2, 3}, {0, 0, 1}, 1}, {"b"}}, 2)},
+      {"obstacles", "host/game/obstacles", host::obstacles(9, {wall(2.0f), hull})},
+      {"spawn", "car/c", host::spawn(cell()->hash, "game", pose_at(1), 900)},
+      {"despawn", "car/a", host::despawn()},
+      {"repair", "car/a", host::repair(0.5f)},
+      {"parameters", "car/a", host::parameters([](auto& p) {
+         p.add_solver(schema::Solver::nodal);
+         p.add_iterations(4);
+         p.add_region(0);
+         p.add_young_modulus(1e6f);
+         p.add_yield(0.1f);
+       })},
+      {"save", "car/a", host::save()},
+      {"load", "car/a", host::load(state)},
+  };
+}
+
+// A car that is being hit, so that whatever gets through meets all rooms; one sub-step a tick, because there are thousands.
+Scene hit_scene() {
+  Scene scene(cell(), {}, 960);
+  scene.step({{"car/a", host::spawn(cell()->hash, "game")},
+              {"car/a", host::parameters([](auto& p) { p.add_iterations(1); })},
+              {"host/game/obstacles", host::obstacles(1, {wall(2.255f)})},
+              {"host/game/poses", host::poses(1, {{"a", pose_at(0), {9, 0, 0}}})}});
+  return scene;
+}
+
+void expect_survives(const Sample& sample, const Bytes& bytes, uint64_t spared) {
+  Scene scene = hit_scene();
+  scene.step({{sample.key, bytes, 5}});
+  ASSERT_EQ(std::count_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& message) { return message.ticket == 5; }),
+            1);
+  const bool some_taken = scene.refused(Reason::unknown_car) + scene.refused(Reason::not_owner) > 0;  // of the cars of a Poses
+  if (refusal_count(*scene.world) > 0 && !some_taken) {
+    ASSERT_EQ(hash(*scene.world), spared) << last_refusal(*scene.world);
+  }
+  scene.step();
+  ASSERT_EQ(tick_count(*scene.world), 3u);
+  ASSERT_TRUE(finite(*scene.world));
+}
+
+// The world's hash if the message had not come.
+uint64_t spared_hash() {
+  Scene scene = hit_scene();
+  scene.step();
+  EXPECT_TRUE(scene.car("a").body.touching);
+  return hash(*scene.world);
+}
+
+TEST(Hostile, EveryPrefixOfEveryMessageIsRefusedOrTakenWhole) {
+  const uint64_t spared = spared_hash();
+  for (const Sample& sample : samples()) {
+    for (size_t size = 0; size < sample.bytes.size(); ++size) {
+      expect_survives(sample, Bytes(sample.bytes.begin(), sample.bytes.begin() + ptrdiff_t(size)), spared);
+      if (HasFatalFailure()) FAIL() << sample.name << " cut to " << size << " bytes";
+    }
+  }
+}
+
+TEST(Hostile, EverySingleBitFlipOfEveryMessageIsRefusedOrTakenWhole) {
+  const uint64_t spared = spared_hash();
+  for (const Sample& sample : samples()) {
+    for (size_t bit = 0; bit < 8 * sample.bytes.size(); ++bit) {
+      Bytes bytes = sample.bytes;
+      bytes[bit / 8] ^= std::byte(1u << (bit % 8));
+      expect_survives(sample, bytes, spared);
+      if (HasFatalFailure()) FAIL() << sample.name << " with bit " << bit << " flipped";
+    }
+  }
+}
+
+TEST(Hostile, ARefusedMessageLeavesTheWorldAsItWas) {
+  Scene hit, spared;
+  for (Scene* scene : {&hit, &spared}) crash(*scene, 10);
+  for (const Sample& sample : samples()) hit.step({{sample.key, Bytes(sample.bytes.begin(), sample.bytes.begin() + 9)}});
+  for (size_t k = 0; k < samples().size(); ++k) spared.step();
+  EXPECT_EQ(refusal_count(*hit.world), samples().size());
+  EXPECT_EQ(hash(*hit.world), hash(*spared.world));
+}
+
+}  // namespace
+}  // namespace crumple
