@@ -89,11 +89,8 @@ Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
   }
   if (auto sentence = refuse_state(car.model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
   Body& body = target.car.body;
-  const double absorbed = body.absorbed;
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
-  body.absorbed = absorbed;
-  body.settled = false;  // what is stored in it is found, and let go, in the next tick
   measure_reach(car.model, body);
   target.car.told.due = true;
   return std::nullopt;

@@ -16,15 +16,16 @@ ImpulseLog::Change ImpulseLog::since(uint64_t seen, uint64_t now) const {
 
 Motion reconcile(const Motion& own, const Intent& intent, const ImpulseLog& log, uint64_t now, bool touching) {
   Motion motion = intent.motion;
-  bool contact_wins = touching;
+  const bool far = (motion.pose.position - own.pose.position).norm() > teleport;
+  bool contact_wins = touching && !far;
   if (intent.seen != 0) {
     const ImpulseLog::Change unseen = log.since(intent.seen, now);
     motion.velocity += unseen.velocity;
     motion.angular_velocity += unseen.angular_velocity;
+    // However far: where ticks are late in a crash, a host that has not heard of it yet is far ahead, and no teleport is meant.
     contact_wins = contact_wins || unseen.tick != 0;
   }
-  const bool far = (motion.pose.position - own.pose.position).norm() > teleport;
-  if (contact_wins && !far) motion.pose = own.pose;
+  if (contact_wins) motion.pose = own.pose;
   return motion;
 }
 

@@ -280,8 +280,15 @@ TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
 
 TEST(Net, AnswersEachTicketOnce) {
   const Session server = open_peer(), client = open_client(server);
-  EXPECT_EQ(net_reply(server.get(), 77, "x", 1, 0), TRANSPORT_BAD_ARGUMENT);
-  EXPECT_NE(std::string(transport_error()).find("77"), std::string::npos);
+  ASSERT_EQ(net_queryable(server.get(), "q/once", 4), TRANSPORT_OK);
+  ASSERT_EQ(ask(client, server, "q/once", "known", 0).size(), 2u);
+  uint64_t ticket = 0;
+  ASSERT_EQ(net_get(client.get(), "q/once", "1", 1, 10000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> queries = collect(server, 1);
+  ASSERT_EQ(queries.size(), 1u);
+  EXPECT_EQ(net_reply(server.get(), queries[0].ticket, "x", 1, 0), TRANSPORT_OK);
+  EXPECT_EQ(net_reply(server.get(), queries[0].ticket, "x", 1, 0), TRANSPORT_BAD_ARGUMENT);
+  EXPECT_NE(std::string(transport_error()).find(std::to_string(queries[0].ticket)), std::string::npos);
 }
 
 TEST(Net, SeesAnotherSessionAppearAndGo) {
@@ -302,6 +309,20 @@ TEST(Net, SeesAnotherSessionAppearAndGo) {
   ASSERT_EQ(events.size(), 1u);
   EXPECT_EQ(events[0].kind, NET_GONE);
   EXPECT_EQ(events[0].key, "live/early");
+}
+
+TEST(Net, TakesAnAnnouncementBack) {
+  const Session server = open_peer(), client = open_client(server);
+  ASSERT_EQ(net_watch(server.get(), "live/*"), TRANSPORT_OK);
+  ASSERT_EQ(net_announce(client.get(), "live/car"), TRANSPORT_OK);
+  ASSERT_EQ(net_announce(client.get(), "live/other"), TRANSPORT_OK);
+  ASSERT_EQ(collect(server, 2).size(), 2u);
+  ASSERT_EQ(net_retract(client.get(), "live/never"), TRANSPORT_OK);
+  ASSERT_EQ(net_retract(client.get(), "live/car"), TRANSPORT_OK);
+  const std::vector<Kept> events = collect(server, 1);
+  ASSERT_EQ(events.size(), 1u);
+  EXPECT_EQ(events[0].kind, NET_GONE);
+  EXPECT_EQ(events[0].key, "live/car");
 }
 
 TEST(Net, ClosesEitherEndWhileTrafficFlows) {
@@ -402,7 +423,9 @@ std::string read_file(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
+// A new file each time: ext4 waits for the disk when a file is shortened, written anew and closed.
 void write_file(const std::string& path, const std::string& bytes) {
+  std::filesystem::remove(path);
   std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
 }
 

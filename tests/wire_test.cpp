@@ -249,6 +249,9 @@ TEST(Decode, GivesBackTheStateThatWasEncoded) {
   body.hardening = {0.25f};
   body.edge_rest = {1, 2, 3};
   body.tet_rest = {7};
+  body.absorbed = 8;
+  body.stored = 9;
+  body.settled = false;
   const auto load = std::get<LoadOrder>(expect_taken<Order>(host::load(encode_state(asset, body))));
   EXPECT_EQ(load.asset, asset);
   EXPECT_EQ(load.state.node, body.node);
@@ -256,6 +259,13 @@ TEST(Decode, GivesBackTheStateThatWasEncoded) {
   EXPECT_EQ(load.state.hardening, body.hardening);
   EXPECT_EQ(load.state.edge_rest, body.edge_rest);
   EXPECT_EQ(load.state.tet_rest, body.tet_rest);
+  EXPECT_EQ(load.state.absorbed, 8);
+  EXPECT_EQ(load.state.stored, 9);
+  EXPECT_FALSE(load.state.settled);
+  body.absorbed = -1;
+  expect_refused<Order>(host::load(encode_state(asset, body)), Reason::out_of_range, "load.state.absorbed is -1 J");
+  body.absorbed = double(nan);
+  expect_refused<Order>(host::load(encode_state(asset, body)), Reason::non_finite, "load.state.absorbed");
 }
 
 TEST(Decode, KnowsItsKeysAndNoOthers) {

@@ -227,6 +227,11 @@ TEST(World, ABadEntryRefusesTheWholeMessage) {
   scene.step({{"host/game/poses", host::poses(1, {{"a", pose_at(5)}, {"b", pose_at(5), {501, 0, 0}}})}});
   EXPECT_EQ(scene.car("a").motion.pose.position.x(), 0);
   EXPECT_EQ(scene.refused(Reason::out_of_range), 1u);
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall(50, 1), wall(60, 2)})}});
+  scene.step({{"host/game/obstacles", host::obstacles(2, {wall(70, 1), {2, schema::Shape::sphere, {-1, 0, 0}}})}});
+  EXPECT_EQ(scene.refused(Reason::out_of_range), 2u);
+  ASSERT_EQ(scene.world->obstacles.size(), 2u);
+  EXPECT_EQ(scene.world->obstacles[0].pose.position.x(), 50.5);
 }
 
 TEST(World, ObstaclesStandInTheOrderOfHostsAndIdsAndAListReplacesItsHosts) {
@@ -446,7 +451,7 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
 
 TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
   Scene scene;
-  crash(scene, 2);
+  crash(scene, 1);
   scene.step({{"car/a/key", {}, 77}});
   host::Viewer viewer;
   for (const Message& message : scene.outbox) {
@@ -468,25 +473,36 @@ TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
 // ---- save, load, repair
 // -------------------------------------------------------------------------------------------------------
 
-TEST(State, SavedAndLoadedItIsTheSameCar) {
+TEST(State, SavedAtRestAndLoadedItIsTheSameBodyBitForBit) {
   Scene scene;
-  crash(scene, 150);
+  crash(scene, 40);
+  ASSERT_TRUE(scene.car("a").body.settled);
   Bytes saved, again;
   ASSERT_EQ(scene.ask("a", host::save(), &saved), "");
   Scene other;
   other.spawn("b");
   ASSERT_EQ(other.ask("b", host::load(saved)), "");
   EXPECT_EQ(other.sent("car/b/key").size(), 1u) << "viewers are told at once";
-  ASSERT_EQ(scene.ask("a", host::save(), &again), "");
-  EXPECT_EQ(saved, again) << "saving changes nothing";
-  const Body &from = scene.car("a").body, &to = other.car("b").body;
-  ASSERT_EQ(from.node.size(), to.node.size());
-  for (size_t i = 0; i < from.node.size(); ++i) ASSERT_LT((from.node[i] - to.node[i]).norm(), 1e-3f) << "node " << i;
+  EXPECT_EQ(other.car("b").told.latest, scene.car("a").told.latest);
+  const Body& crashed = scene.car("a").body;
+  Body body = make_body(box()->model);  // all but the memory of the last sub-step, which Save leaves out
+  body.node = crashed.node;
+  body.gradients = crashed.gradients;
+  body.hardening = crashed.hardening;
+  body.edge_rest = crashed.edge_rest;
+  body.tet_rest = crashed.tet_rest;
+  body.absorbed = crashed.absorbed;
+  body.stored = crashed.stored;
+  measure_reach(box()->model, body);
+  EXPECT_EQ(hash(other.car("b").body), hash(body));
+  ASSERT_EQ(other.ask("b", host::save(), &again), "");
+  EXPECT_EQ(saved, again);
 }
 
-TEST(State, LoadingTheSameStateInTwoWorldsGivesTheSameHash) {
+TEST(State, SavedInMidCrashAndLoadedInTwoWorldsTheyStayTheSame) {
   Scene crashed;
-  crash(crashed, 30);
+  crash(crashed, 1);
+  ASSERT_FALSE(crashed.car("a").body.settled);
   Bytes saved;
   ASSERT_EQ(crashed.ask("a", host::save(), &saved), "");
   uint64_t hashes[2];

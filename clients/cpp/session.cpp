@@ -142,16 +142,18 @@ void take_health(Crumple& session, std::span<const uint8_t> bytes) {
     for (const auto* count : *message->refusals()) health.refusals += count->value();
 }
 
+// failed: an error reply, which is a sentence of the transport (a timeout), not an Answer.
 void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_t> bytes, bool failed) {
-  const auto* message = verified<schema::Answer>(bytes);
-  if (!message) {
-    ++session.statistics.refused;
-    answer.sentence.assign(reinterpret_cast<const char*>(bytes.data()), failed ? std::min<size_t>(bytes.size(), 500) : 0);
-  } else {
+  if (const auto* message = verified<schema::Answer>(bytes)) {
     answer.ok = message->ok();
     answer.tick = message->tick();
     if (message->sentence()) answer.sentence = message->sentence()->str();
     if (message->state()) answer.state.assign(message->state()->begin(), message->state()->end());
+  } else if (failed) {
+    answer.sentence.assign(reinterpret_cast<const char*>(bytes.data()), std::min<size_t>(bytes.size(), 500));
+  } else {
+    answer.sentence = "the answer is not a well-formed FlatBuffers table";
+    ++session.statistics.refused;
   }
   answer.arrived = true;
 }

@@ -2,10 +2,12 @@
 
 #include <flatbuffers/flatbuffers.h>
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <fstream>
+#include <iterator>
 #include <stdexcept>
 
 #include "asset/build_constraints.h"
@@ -25,6 +27,14 @@ std::string text_of(double value, const char* format) {
   char text[32];
   std::snprintf(text, sizeof text, format, value);
   return text;
+}
+
+// What is cheap to know before the tets are made.
+void check_options(const BakeOptions& options) {
+  if (!(options.mass >= 10 && options.mass <= 100'000))
+    throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
+  if (!options.regions.empty() && !std::filesystem::exists(options.regions))
+    throw std::runtime_error(options.regions.string() + ": there is no such regions file; check the path.");
 }
 
 // ---- input -------------------------------------------------------------------------------------------------------------
@@ -79,7 +89,8 @@ struct Parts {
 std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options) {
   flatbuffers::FlatBufferBuilder builder(1 << 20);
   const auto name = builder.CreateString(options.name.empty() ? default_name(options.input) : options.name);
-  const auto attribution = builder.CreateString(options.attribution.empty() ? default_attribution(options.input) : options.attribution);
+  const auto attribution =
+      builder.CreateString(options.attribution.empty() ? default_attribution(options.input) : options.attribution);
   const auto node = structs<schema::Vec3>(builder, parts.tets.node);
   const auto node_mass = builder.CreateVector(parts.masses.node);
   const auto node_region = builder.CreateVector(parts.regions.node_region);
@@ -118,18 +129,31 @@ void report_result(const Parts& parts, std::vector<std::string>& report) {
                                  : ""));
 }
 
+// Tets of another car, in other axes, or of a surface that encloses next to nothing. A few far vertices are an aerial.
+void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions& options) {
+  Eigen::AlignedBox3f box;
+  for (const Vec3& vertex : surface.vertex) box.extend(vertex);
+  const double limit = 0.03 * box.sizes().maxCoeff();
+  const auto far = std::count_if(skin.distance.begin(), skin.distance.end(), [&](double distance) { return distance > limit; });
+  if (4 * far <= std::ssize(skin.distance)) return;
+  const std::string remedy = options.tets.empty() ? "close the surface's holes, so that it has an inside"
+                                                  : "give tets of this very surface, in its axes and unit";
+  throw std::runtime_error((options.tets.empty() ? options.input : options.tets.string()) + ": " + std::to_string(far) +
+                           " of " + std::to_string(skin.distance.size()) + " vertices lie more than " + text_of(limit, "%.2f") +
+                           " m outside the tets, up to " + text_of(skin.farthest, "%.2f") + " m; " + remedy + ".");
+}
+
 }  // namespace
 
 BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& options) {
-  if (!(options.mass >= 10 && options.mass <= 100'000))
-    throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
   BakeResult out;
   order_spatially(surface);
   order_spatially(tets);
   const Constraints constraints = build_constraints(tets);
   const Masses masses = lump_masses(tets, constraints.tet_rest, options.mass);
-  const Regions regions = paint_regions(tets, surface, options.regions, out.report);
+  const Regions regions = paint_regions(tets, surface, options.regions, options.input, out.report);
   const SkinResult skin = build_skin(tets, surface.vertex);
+  check_fit(surface, skin, options);
   const Parts parts{surface, tets, constraints, masses, regions, skin};
   report_result(parts, out.report);
   out.car = read_car(serialise(parts, options), options.input);
@@ -137,6 +161,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& option
 }
 
 BakeResult bake(const BakeOptions& options, const Progress& progress) {
+  check_options(options);
   const ImportedSurface input = read_surface(options);
   std::vector<std::string> report = input.report;
   TetMesh tets = options.tets.empty() ? tetrahedralise(input, options.nodes, options.input, progress, report)
@@ -155,7 +180,8 @@ void write_car(const Car& car, const std::filesystem::path& file) {
   std::error_code error;
   if (stream) std::filesystem::rename(beside, file, error);
   if (!stream || error)
-    throw std::runtime_error(file.string() + ": the car cannot be written there; name a folder that exists and can be written.");
+    throw std::runtime_error(file.string() +
+                             ": the car cannot be written there; name a folder that exists and can be written.");
 }
 
 }  // namespace crumple

@@ -106,11 +106,11 @@ SkinResult build_skin(const TetMesh& mesh, std::span<const Vec3> vertices) {
     for (size_t i = range.begin(); i != range.end(); ++i) attached[i] = attach(mesh, tree, vertices[i]);
   });
   SkinResult out;
-  out.skin.reserve(vertices.size());
   for (const Attached& one : attached) {
     out.skin.push_back(one.skin);
     ++(one.coincident ? out.coincident : one.distance == 0 ? out.contained : out.nearest);
-    if (!one.coincident) out.farthest = std::max(out.farthest, one.distance);
+    out.distance.push_back(one.coincident ? 0 : one.distance);
+    out.farthest = std::max(out.farthest, out.distance.back());
     out.largest_weight = std::max(out.largest_weight, one.largest_weight);
   }
   return out;

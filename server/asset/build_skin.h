@@ -11,11 +11,12 @@
 namespace crumple {
 
 struct SkinResult {
-  std::vector<Skin> skin;  // one a vertex
-  size_t coincident = 0;   // within 1e-6 m of a node
+  std::vector<Skin> skin;        // one a vertex
+  std::vector<double> distance;  // m, of a vertex from its tet; 0 on a node or inside
+  size_t coincident = 0;         // within 1e-6 m of a node
   size_t contained = 0;
   size_t nearest = 0;         // outside every tet
-  double farthest = 0;        // m, the greatest distance of these from their tet
+  double farthest = 0;        // m, the greatest distance
   double largest_weight = 1;  // above about 10 a vertex trembles: it lies far outside a thin tet
 };
 

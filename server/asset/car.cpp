@@ -24,8 +24,9 @@ namespace {
 constexpr uint32_t current_version = 1;
 constexpr float largest_weight = 1e4f;  // of a vertex on a node: beyond it 1e-7 of a float is over a millimetre
 static_assert(std::endian::native == std::endian::little, "the file is read in place, and it is little endian");
-static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == sizeof(Tet) && sizeof(schema::Edge) == sizeof(Edge) &&
-              sizeof(schema::Gradients) == sizeof(Gradients) && sizeof(schema::Skin) == sizeof(Skin));
+static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == sizeof(Tet) &&
+              sizeof(schema::Edge) == sizeof(Edge) && sizeof(schema::Gradients) == sizeof(Gradients) &&
+              sizeof(schema::Skin) == sizeof(Skin));
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) {
   throw std::runtime_error(name + ": " + fact + "; bake the car again with `crumple bake`.");

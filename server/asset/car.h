@@ -23,9 +23,9 @@ struct Car {
   std::string name;
   std::string attribution;
   std::vector<std::string> regions;
-  std::string hash;                  // 16 hexadecimal digits: XXH64 of the bytes
-  std::span<const std::byte> bytes;  // the whole file
-  std::shared_ptr<const void> owner; // keeps the bytes (a mapping or a buffer) alive
+  std::string hash;                   // 16 hexadecimal digits: XXH64 of the bytes
+  std::span<const std::byte> bytes;   // the whole file
+  std::shared_ptr<const void> owner;  // keeps the bytes (a mapping or a buffer) alive
 };
 
 // Maps the file and checks every size and index, so that nothing behind it needs to.

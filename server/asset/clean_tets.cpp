@@ -53,7 +53,8 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
         refuse(name, "tet " + std::to_string(i) + " names a node that does not exist; make the tets again.");
       tet.node[k] = static_cast<uint32_t>(node);
     }
-    const double volume = tet_volume(mesh.node[tet.node[0]], mesh.node[tet.node[1]], mesh.node[tet.node[2]], mesh.node[tet.node[3]]);
+    const double volume =
+        tet_volume(mesh.node[tet.node[0]], mesh.node[tet.node[1]], mesh.node[tet.node[2]], mesh.node[tet.node[3]]);
     if (std::abs(volume) < smallest_volume) continue;
     if (volume < 0) std::swap(tet.node[2], tet.node[3]), ++turned;
     mesh.tet.push_back(tet);
@@ -61,8 +62,9 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
   if (mesh.tet.empty()) refuse(name, "none of its " + std::to_string(t) + " tets has a volume; make the tets again.");
   const size_t flat = t - mesh.tet.size(), unused = drop_unused(mesh);
   if (mesh.node.size() > max_nodes || mesh.tet.size() > max_tets)
-    refuse(name, std::to_string(mesh.node.size()) + " nodes and " + std::to_string(mesh.tet.size()) + " tets are more than the " +
-                     std::to_string(max_nodes) + " and " + std::to_string(max_tets) + " that a tick can carry; use coarser ones.");
+    refuse(name, std::to_string(mesh.node.size()) + " nodes and " + std::to_string(mesh.tet.size()) +
+                     " tets are more than the " + std::to_string(max_nodes) + " and " + std::to_string(max_tets) +
+                     " that a tick can carry; use coarser ones.");
   if (turned) report.push_back(std::to_string(turned) + " tets were inside out: two of their corners are swapped");
   if (flat) report.push_back(std::to_string(flat) + " tets dropped that have no volume (below 1e-12 m^3)");
   if (unused) report.push_back(std::to_string(unused) + " nodes dropped that no tet uses");
@@ -72,9 +74,9 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
 TetMesh import_tets(const std::filesystem::path& file, const Eigen::Affine3d& from_file, std::vector<std::string>& report) {
   const TemporaryFolder folder;
   std::string last;
-  const int status = run_script(import_tets_script, {file.string(), folder.path.string()}, [&](const std::string& line) { last = line; });
-  if (status != 0)
-    refuse(file.string(), last + "; give tets as Gmsh .msh (2.2 or 4.1), Medit .mesh or TetGen .node/.ele.");
+  const int status =
+      run_script(import_tets_script, {file.string(), folder.path.string()}, [&](const std::string& line) { last = line; });
+  if (status != 0) refuse(file.string(), last + "; give tets as Gmsh .msh (2.2 or 4.1), Medit .mesh or TetGen .node/.ele.");
   auto nodes = read_array<double>(folder.path / "nodes.f64");
   for (size_t i = 0; i + 2 < nodes.size(); i += 3) {
     Eigen::Map<Eigen::Vector3d> node(&nodes[i]);

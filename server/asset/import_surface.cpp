@@ -16,13 +16,13 @@ namespace {
 
 constexpr double shortest_car = 0.5, longest_car = 25;  // m: a pedal car, an articulated bus
 constexpr double flat_below = 0.01;                     // shortest side over the longest
-constexpr size_t most_parts = 1000;  // a scan's crumbs, not a body: game cars have one to a few hundred
+constexpr size_t most_parts = 1000;                     // a scan's crumbs, not a body: game cars have one to a few hundred
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
 std::string meters(double value) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.3g", value);
+  std::snprintf(text, sizeof text, "%.4g", value);
   return text;
 }
 
@@ -72,8 +72,8 @@ void append(const aiMesh& mesh, const Eigen::Affine3d& placed, Flattened& out) {
   const bool mirrored = placed.linear().determinant() < 0;
   for (unsigned i = 0; i < mesh.mNumFaces; ++i) {
     const aiFace& face = mesh.mFaces[i];
-    const bool sound = face.mNumIndices == 3 && std::all_of(face.mIndices, face.mIndices + 3,
-                                                            [&](unsigned index) { return index < mesh.mNumVertices; });
+    const bool sound = face.mNumIndices == 3 &&
+                       std::all_of(face.mIndices, face.mIndices + 3, [&](unsigned index) { return index < mesh.mNumVertices; });
     if (!sound) {
       ++out.not_triangles;
       continue;
@@ -157,9 +157,12 @@ size_t count_open_edges(const Surface& surface) {
 }
 
 // Scale, turn, then drop to the ground and centre.
-Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const ImportOptions& options, const std::string& name) {
-  if (!(options.scale > 0) || !std::isfinite(options.scale)) throw std::runtime_error("--scale: it must be a number above zero.");
-  Eigen::Affine3d turned(options.scale * axes(options.forward.empty() ? "x" : options.forward, options.up.empty() ? "z" : options.up));
+Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const ImportOptions& options,
+                          const std::string& name) {
+  if (!(options.scale > 0) || !std::isfinite(options.scale))
+    throw std::runtime_error("--scale: it must be a number above zero.");
+  Eigen::Affine3d turned(options.scale *
+                         axes(options.forward.empty() ? "x" : options.forward, options.up.empty() ? "z" : options.up));
   Eigen::AlignedBox3d box;
   for (size_t i = 0; i < positions.size(); ++i) {
     if (!positions[i].allFinite())
@@ -170,7 +173,8 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
   const std::string size = meters(box.sizes().x()) + " x " + meters(box.sizes().y()) + " x " + meters(box.sizes().z()) + " m";
   if (longest < shortest_car || longest > longest_car)
     refuse(name, "it measures " + size + ", and no car's longest side lies outside " + meters(shortest_car) + " to " +
-                     meters(longest_car) + " m; give the size of one unit of the file in metres, such as --scale 0.01.");
+                     meters(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
+                     meters(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");
   return Eigen::Translation3d(-box.center().x(), -box.center().y(), -box.min().z()) * turned;
 }
@@ -223,17 +227,18 @@ ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, con
                      std::to_string(max_vertices) + ".");
   out.parts = count_parts(surface);
   if (out.parts >= most_parts)
-    refuse(name, "it falls into " + std::to_string(out.parts) + " pieces that share no vertex; join them, or keep the body only.");
+    refuse(name,
+           "it falls into " + std::to_string(out.parts) + " pieces that share no vertex; join them, or keep the body only.");
   out.open_edges = count_open_edges(surface);
 
   Eigen::AlignedBox3f box;
   for (const Vec3& vertex : surface.vertex) box.extend(vertex);
   const Vec3 size = box.sizes();
-  out.report = {"size " + meters(size.x()) + " x " + meters(size.y()) + " x " + meters(size.z()) + " m (forward x left x up), " +
-                    meters(options.scale) + " m in a unit of the file",
-                std::to_string(surface.vertex.size()) + " vertices, " + std::to_string(surface.triangle.size()) + " triangles, " +
-                    std::to_string(out.parts) + (out.parts == 1 ? " part" : " parts") + ", " + std::to_string(out.open_edges) +
-                    " open edges" + (out.open_edges ? "" : ": watertight")};
+  out.report = {"size " + meters(size.x()) + " x " + meters(size.y()) + " x " + meters(size.z()) +
+                    " m (forward x left x up), " + meters(options.scale) + " m in a unit of the file",
+                std::to_string(surface.vertex.size()) + " vertices, " + std::to_string(surface.triangle.size()) +
+                    " triangles, " + std::to_string(out.parts) + (out.parts == 1 ? " part" : " parts") + ", " +
+                    std::to_string(out.open_edges) + " open edges" + (out.open_edges ? "" : ": watertight")};
   if (welded) out.report.push_back(std::to_string(welded) + " vertices welded to others of the same position");
   if (loose) out.report.push_back(std::to_string(loose) + " vertices dropped that no triangle uses");
   if (const size_t flat = triangles.size() - surface.triangle.size())

@@ -19,8 +19,8 @@ std::vector<Triangle> boundary(const TetMesh& mesh) {
   std::sort(faces.begin(), faces.end());
   std::vector<Triangle> out;
   for (size_t i = 0; i < faces.size(); ++i) {
-    const bool shared = (i > 0 && faces[i - 1].first == faces[i].first) ||
-                        (i + 1 < faces.size() && faces[i + 1].first == faces[i].first);
+    const bool shared =
+        (i > 0 && faces[i - 1].first == faces[i].first) || (i + 1 < faces.size() && faces[i + 1].first == faces[i].first);
     if (!shared) out.push_back(faces[i].second);
   }
   return out;

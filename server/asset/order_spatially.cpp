@@ -61,9 +61,8 @@ void order_spatially(TetMesh& mesh) {
     const Tet old = tet;
     for (int k = 0; k < 4; ++k) tet.node[k] = old.node[even[lowest][k]];
   }
-  std::sort(mesh.tet.begin(), mesh.tet.end(), [](const Tet& a, const Tet& b) {
-    return std::lexicographical_compare(a.node, a.node + 4, b.node, b.node + 4);
-  });
+  std::sort(mesh.tet.begin(), mesh.tet.end(),
+            [](const Tet& a, const Tet& b) { return std::lexicographical_compare(a.node, a.node + 4, b.node, b.node + 4); });
 }
 
 void order_spatially(Surface& surface) {

@@ -19,8 +19,8 @@ namespace {
 
 // Shares of the length left free at either end, and depths under the skin, m: frontal crush was the same within 0.15-0.25 and
 // 0.1-0.3; the shallower ones are for bodies with no room for the first.
-constexpr float free_end = 0.18f;
-constexpr double cell_depths[] = {0.20, 0.15, 0.10, 0.05, 0.02};
+constexpr float free_end = 0.25f;
+constexpr double cell_depths[] = {0.30, 0.25, 0.20, 0.15, 0.10, 0.05, 0.02};
 
 std::string number(double value, const char* format = "%.3g") {
   char text[32];
@@ -77,13 +77,14 @@ std::vector<uint8_t> parse_regions(const std::filesystem::path& file) {
     if (const size_t at = line.find("regions.json:"); at != std::string::npos) why = line.substr(at + 13);
   };
   const std::string output = folder.path.string();
-  const int status = run_program({CRUMPLE_FLATC, "--binary", "-o", output, output + "/regions.fbs", output + "/regions.json"}, keep);
+  const int status =
+      run_program({CRUMPLE_FLATC, "--binary", "-o", output, output + "/regions.fbs", output + "/regions.json"}, keep);
   std::vector<uint8_t> bytes;
   if (status == 0) bytes = read_array<uint8_t>(folder.path / "regions.bin");
   flatbuffers::Verifier verifier(bytes.data(), bytes.size());
   if (bytes.empty() || !schema::VerifyPaintRegionsBuffer(verifier))
     throw std::runtime_error(file.string() + ": the regions file is not what schema/regions.fbs describes" +
-                             (why.empty() ? "" : " (line" + why + ")") + "; the example there shows how it should look.");
+                             (why.empty() ? "" : " (line " + why + ")") + "; the example there shows how it should look.");
   return bytes;
 }
 
@@ -139,9 +140,11 @@ void paint_by_file(const TetMesh& mesh, const std::filesystem::path& file, Regio
       ++painted;
     }
     if (painted == 0)
-      throw std::runtime_error(file.string() + ": region \"" + name +
-                               "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
-    report.push_back("region \"" + name + "\": " + std::to_string(painted) + " nodes" + (region->anchored() ? ", anchored" : ""));
+      throw std::runtime_error(
+          file.string() + ": region \"" + name +
+          "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
+    report.push_back("region \"" + name + "\": " + std::to_string(painted) + " nodes" +
+                     (region->anchored() ? ", anchored" : ""));
   }
 }
 
@@ -172,7 +175,7 @@ std::vector<double> depths(const TetMesh& mesh) {
   return out;
 }
 
-void anchor_default_cell(const TetMesh& mesh, Regions& regions, std::vector<std::string>& report) {
+void anchor_default_cell(const TetMesh& mesh, const std::string& name, Regions& regions, std::vector<std::string>& report) {
   const std::vector<double> depth = depths(mesh);
   for (double deepest : cell_depths) {
     const auto count = std::count_if(depth.begin(), depth.end(), [&](double d) { return d > deepest; });
@@ -188,9 +191,9 @@ void anchor_default_cell(const TetMesh& mesh, Regions& regions, std::vector<std:
                      (deepest == cell_depths[0] ? "" : " (none lay deeper)"));
     return;
   }
-  throw std::runtime_error(
-      "no node lies deeper than " + number(std::end(cell_depths)[-1]) +
-      " m inside the body, so there is no safety cell to hold it; anchor a part with --regions FILE or bake with more --nodes.");
+  throw std::runtime_error(name + ": no node lies deeper than " + number(std::end(cell_depths)[-1]) +
+                           " m inside the body, so there is no safety cell to hold it; anchor a part with --regions FILE or "
+                           "bake with more --nodes.");
 }
 
 // ---- what hangs together -----------------------------------------------------------------------------------------------
@@ -230,12 +233,12 @@ uint8_t most_common(const Tet& tet, const std::vector<uint8_t>& node_region) {
 }  // namespace
 
 Regions paint_regions(const TetMesh& mesh, const Surface& surface, const std::filesystem::path& regions_file,
-                      std::vector<std::string>& report) {
+                      const std::string& name, std::vector<std::string>& report) {
   Regions regions{{"body"}, std::vector<uint8_t>(mesh.node.size(), 0), std::vector<uint8_t>(mesh.node.size(), 0), {}};
   paint_by_color(mesh, surface, regions, report);
   if (!regions_file.empty()) paint_by_file(mesh, regions_file, regions, report);
   const auto anchored = std::count(regions.node_anchored.begin(), regions.node_anchored.end(), 1);
-  if (anchored == 0) anchor_default_cell(mesh, regions, report);
+  if (anchored == 0) anchor_default_cell(mesh, name, regions, report);
   report_loose_parts(mesh, regions, report);
   for (const Tet& tet : mesh.tet) regions.tet_region.push_back(most_common(tet, regions.node_region));
   return regions;

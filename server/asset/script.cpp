@@ -22,7 +22,8 @@ std::string interpreter() {
 // Starts the child with stdout and stderr on one pipe; returns the end to read from.
 int start(const std::vector<std::string>& command, pid_t& child) {
   int ends[2];
-  if (pipe2(ends, O_CLOEXEC) != 0) throw std::runtime_error(std::string("no pipe can be opened: ") + std::strerror(errno) + ".");
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    throw std::runtime_error(std::string("no pipe can be opened: ") + std::strerror(errno) + ".");
   posix_spawn_file_actions_t actions;
   posix_spawn_file_actions_init(&actions);
   posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);

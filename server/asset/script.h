@@ -36,7 +36,8 @@ void write_array(const std::filesystem::path& file, std::span<const T> values) {
   std::ofstream stream(file, std::ios::binary);
   stream.write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(values.size_bytes()));
   stream.close();
-  if (!stream) throw std::runtime_error(file.string() + ": it cannot be written; make room there, or set TMPDIR to another folder.");
+  if (!stream)
+    throw std::runtime_error(file.string() + ": it cannot be written; make room there, or set TMPDIR to another folder.");
 }
 
 template <class T>

@@ -41,7 +41,8 @@ class LogReader {
   void operator()(const std::string& line) {
     if (!line.empty()) last_ = line;
     if (line.find("preprocessing") != std::string::npos) stage_ = "inserting the surface";
-    if (const size_t at = line.find("pass "); at != std::string::npos) stage_ = "pass " + std::to_string(std::atoi(&line[at + 5]));
+    if (const size_t at = line.find("pass "); at != std::string::npos)
+      stage_ = "pass " + std::to_string(std::atoi(&line[at + 5]));
     if (line.starts_with("max_energy = ")) quality_ = ", worst tet " + line.substr(13) + " (goal 10)";
     if (line.find("winding number") != std::string::npos) stage_ = "telling inside from outside";
     const auto seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
@@ -75,12 +76,13 @@ TetMesh run_once(const ImportedSurface& input, Run& run, const std::string& name
   write_array<double>(folder.path / "vertices.f64", vertices);
   write_array<int32_t>(folder.path / "triangles.i32", triangles);
   LogReader log(title, progress);
-  const int status = run_script(tetrahedralise_script,
-                                {folder.path.string(), text_of(run.edge_length, "%.9g"), text_of(run.epsilon, "%.9g")},
-                                [&](const std::string& line) { log(line); });
+  const int status =
+      run_script(tetrahedralise_script, {folder.path.string(), text_of(run.edge_length, "%.9g"), text_of(run.epsilon, "%.9g")},
+                 [&](const std::string& line) { log(line); });
   if (status != 0)
     throw std::runtime_error(name + ": fTetWild could not make tets of it (exit status " + std::to_string(status) +
-                             ", last word: " + log.last() + "); repair the surface, or bring tets of your own with --tets FILE.");
+                             ", last word: " + log.last() +
+                             "); repair the surface, or bring tets of your own with --tets FILE.");
   const auto nodes = read_array<double>(folder.path / "nodes.f64");
   const auto tets = read_array<int32_t>(folder.path / "tets.i32");
   if (tets.empty())
@@ -91,11 +93,11 @@ TetMesh run_once(const ImportedSurface& input, Run& run, const std::string& name
   return mesh;
 }
 
-// Edge length for a body that fills 0.45 of its box, at 1.15 cube roots of the volume a node has (measured on a sedan's hull).
+// Edge length for a body that fills 0.45 of its box, at 1.25 cube roots of the volume a node has (measured on a sedan's hull).
 Run first_guess(const ImportedSurface& input, size_t nodes) {
   Eigen::AlignedBox3d box;
   for (const Vec3& vertex : input.surface.vertex) box.extend(vertex.cast<double>());
-  const double edge = 1.15 * std::cbrt(0.45 * box.volume() / static_cast<double>(nodes));
+  const double edge = 1.25 * std::cbrt(0.45 * box.volume() / static_cast<double>(nodes));
   // Open sheets become thin doubled walls unless the envelope is wide enough to close over them.
   return {edge / box.diagonal().norm(), input.open_edges ? 3 * finest_epsilon : finest_epsilon};
 }
@@ -125,7 +127,8 @@ Run next_guess(const std::vector<Run>& runs, size_t nodes) {
 TetMesh tetrahedralise(const ImportedSurface& input, size_t nodes, const std::string& name, const Progress& progress,
                        std::vector<std::string>& report) {
   if (nodes < 100 || nodes > max_nodes)
-    throw std::runtime_error("--nodes " + std::to_string(nodes) + ": give a number from 100 to " + std::to_string(max_nodes) + ".");
+    throw std::runtime_error("--nodes " + std::to_string(nodes) + ": give a number from 100 to " + std::to_string(max_nodes) +
+                             ".");
   std::vector<Run> runs;
   Run run = first_guess(input, nodes);
   for (int count = 1; count <= most_runs; ++count) {
@@ -138,9 +141,9 @@ TetMesh tetrahedralise(const ImportedSurface& input, size_t nodes, const std::st
       continue;
     }
     report.push_back("fTetWild: " + std::to_string(run.nodes) + " nodes, " + std::to_string(mesh.tet.size()) + " tets (" +
-                     text_of(100 * error, "%+.0f") + " % of the " + std::to_string(nodes) + " wanted) in " + std::to_string(count) +
-                     (count == 1 ? " run" : " runs") + ", edge length " + text_of(run.edge_length, "%.3g") + ", envelope " +
-                     text_of(run.epsilon, "%.2g") + " of the diagonal");
+                     text_of(100 * error, "%+.0f") + " % of the " + std::to_string(nodes) + " wanted) in " +
+                     std::to_string(count) + (count == 1 ? " run" : " runs") + ", edge length " +
+                     text_of(run.edge_length, "%.3g") + ", envelope " + text_of(run.epsilon, "%.2g") + " of the diagonal");
     report.insert(report.end(), cleaning.begin(), cleaning.end());
     return mesh;
   }

@@ -34,6 +34,7 @@ void prepare(const Model& model, Scratch& scratch) {
   scratch.before.resize(model.node.size());
   scratch.pair_start.resize(model.node.size());
   scratch.direction.resize(model.node.size());
+  scratch.deformation.resize(model.tet.size());
   scratch.stiffness.resize(model.tet.size());
   scratch.drag.resize(model.node.size());
   scratch.anchor.assign(model.node.size(), 0.0f);
@@ -227,7 +228,6 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
                 double seconds, Scratch& scratch, Body& body, Motion& motion, Timer* timer) {
   Response response;
   const Motion begin = motion;
-  const Eigen::Vector3d unhindered = motion.pose.position + motion.pose.orientation * mass.center + seconds * motion.velocity;
   {
     const RoomTimer room(timer, Room::contacts);
     find_candidates(model, body, motion, mass, obstacles, seconds, scratch.candidates);
@@ -260,7 +260,6 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
     response.recovered = true;
   }
   if (response.substeps > 0) measure_reach(model, body);
-  response.displacement = motion.pose.position + motion.pose.orientation * mass.center - unhindered;
   return response;
 }
 

@@ -20,7 +20,6 @@ inline constexpr double substep_seconds = 1.0 / 960;
 struct Response {
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();          // N s
   Eigen::Vector3d angular_impulse = Eigen::Vector3d::Zero();  // N m s
-  Eigen::Vector3d displacement = Eigen::Vector3d::Zero();     // of the centre of mass, less the path without contacts, m
   float deepest = 0;           // the farthest that an obstacle pushed a node, m
   uint32_t contacts = 0;       // nodes held at the end
   uint32_t substeps = 0;       // solved; 0: nothing was near and the body was settled

@@ -28,6 +28,7 @@ struct Block {
   Mat3 hessian;
 };
 
+// Uses scratch.deformation, which renew_stiffness fills and move_node keeps.
 Block node_block(const Model& model, const Scratch& scratch, const Body& body, uint32_t node) {
   const float spring = scratch.drag[node] + scratch.anchor[node];
   Vec3 gradient = scratch.drag[node] * (body.node[node] - scratch.before[node]) +
@@ -37,7 +38,7 @@ Block node_block(const Model& model, const Scratch& scratch, const Body& body, u
   for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
     const uint32_t tet = model.corner[k] / 4;
     const Elastic& e = scratch.stiffness[tet];
-    const Mat3 f = tet_deformation(model, body, tet);
+    const Mat3& f = scratch.deformation[tet];
     const Vec3 g = corner_gradient(body.gradients[tet], model.corner[k] % 4);
     const Mat3 cofactor = cofactors(f);
     const Vec3 c = cofactor * g;  // d(J)/d(x)
@@ -48,6 +49,16 @@ Block node_block(const Model& model, const Scratch& scratch, const Body& body, u
   }
   volume.diagonal().array() += diagonal;
   return {gradient, volume};
+}
+
+// One node moves: F changes by move gradient^T in each of its tets, cheaper than all four corners once more.
+void move_node(const Model& model, uint32_t node, const Vec3& move, Scratch& scratch, Body& body) {
+  body.node[node] += move;
+  for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
+    const uint32_t tet = model.corner[k] / 4;
+    const Vec3 g = corner_gradient(body.gradients[tet], model.corner[k] % 4);
+    scratch.deformation[tet] += move * g.transpose();
+  }
 }
 
 // The lowest point of the block on the planes `active` of this node's contacts, or nothing where a multiplier is negative or
@@ -112,11 +123,11 @@ void visit(const Model& model, Scratch& scratch, Body& body, uint32_t node) {
   if (model.node_anchored[node] && first == 0) return;
   const Block block = node_block(model, scratch, body, node);
   const Mat3 inverse = block.hessian.inverse();
-  Vec3& position = body.node[node];
+  const Vec3 position = body.node[node];
+  const auto move_to = [&](const Vec3& target) { move_node(model, node, target - position, scratch, body); };
   const Vec3 move = inverse * block.gradient;
   if (first == 0) {
-    position -= relaxation * move;
-    return;
+    return move_node(model, node, -relaxation * move, scratch, body);
   }
   const Contact* contacts = &scratch.contacts[first - 1];
   int count = 1;
@@ -127,10 +138,7 @@ void visit(const Model& model, Scratch& scratch, Body& body, uint32_t node) {
   const Vec3 free = position - move;
   bool clear = true;
   for (int i = 0; i < count; ++i) clear = clear && contacts[i].normal.dot(free) >= contacts[i].offset;
-  if (clear) {
-    position = free;
-    return;
-  }
+  if (clear) return move_to(free);
   // Few planes at most: try every set, small ones first.
   static constexpr unsigned sets[] = {1, 2, 4, 3, 5, 6, 7};
   Vec3 target, multiplier;
@@ -145,11 +153,10 @@ void visit(const Model& model, Scratch& scratch, Body& body, uint32_t node) {
       for (int i = 0; i < count; ++i) inside = inside || contacts[i].normal.dot(rubbed) < contacts[i].offset - 1e-6f;
       if (!inside) target = rubbed;
     }
-    position = target;
-    return;
+    return move_to(target);
   }
   // Planes that leave no room (a car between two closing walls): the deepest one wins.
-  position = free + (contacts[0].offset - contacts[0].normal.dot(free)) * contacts[0].normal;
+  move_to(free + (contacts[0].offset - contacts[0].normal.dot(free)) * contacts[0].normal);
   held[0].active = true;
 }
 
@@ -220,7 +227,7 @@ void extrapolate(const Model& model, Scratch& scratch, Body& body) {
   search_line(model, scratch.direction, 2, scratch, body);
 }
 
-// What each tet looks like to the next sweep: its secant moduli times its volume.
+// What each tet looks like to the next sweep: its F, and its secant moduli times its volume.
 void renew_stiffness(const Model& model, const Parameters& parameters, Scratch& scratch, const Body& body) {
   Elastic moduli[region_limit];
   YieldLaw laws[region_limit];
@@ -230,7 +237,8 @@ void renew_stiffness(const Model& model, const Parameters& parameters, Scratch& 
   }
   for (uint32_t tet = 0; tet < model.tet.size(); ++tet) {
     const int region = model.tet_region[tet];
-    const Elastic e = secant(moduli[region], laws[region], tet_deformation(model, body, tet), body.hardening[tet]);
+    scratch.deformation[tet] = tet_deformation(model, body, tet);
+    const Elastic e = secant(moduli[region], laws[region], scratch.deformation[tet], body.hardening[tet]);
     const float volume = model.tet_rest[tet];
     scratch.stiffness[tet] = {e.mu * volume, e.l * volume, e.gamma};
   }

@@ -21,6 +21,7 @@ struct Scratch {
   std::vector<uint32_t> contact_first; // per node: its first contact + 1; 0: none
   std::vector<Held> held;              // per contact
   std::vector<Vec3> before;            // node positions at the start of the sub-step
+  std::vector<Mat3> deformation;        // per tet: F
   std::vector<Elastic> stiffness;      // per tet: secant moduli times volume, N m (gamma unscaled)
   std::vector<float> drag;             // per node: c / h, N/m
   std::vector<float> anchor;           // per node: anchor spring, N/m; 0: free

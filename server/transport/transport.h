@@ -30,7 +30,7 @@ typedef struct Net Net;
 
 // mode "peer" with `listen`, or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
 // config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16
-// batches a queue, 8 MiB a message, Drop for samples. A server that listens on port 0 learns its port by net_endpoint.
+// batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns its port by net_endpoint.
 // Waits up to timeout_ms for a client's first connection.
 int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
 // The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or "" if none.
@@ -41,21 +41,25 @@ void net_close(Net*);
 enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's
 
 // Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept.
+// A session does not hear its own samples and questions; it does see its own announcements.
 int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriority priority);
 
 // depth 0: latest only, per key (an older sample that was not yet polled is replaced, and counted in NetStats.replaced).
-// Otherwise a queue of that many samples over all keys; beyond it new ones are dropped and counted.
+// Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, new ones are dropped and
+// counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused.
 int net_queryable(Net*, const char* key_expression, uint32_t depth);
-// Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one NET_REPLY_END, at the latest after timeout_ms.
+// Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one NET_REPLY_END, at the latest after timeout_ms
+// (a timeout itself comes as a failed NET_REPLY, then the end).
 int net_get(Net*, const char* key, const void* data, size_t size, uint32_t timeout_ms, uint64_t* ticket);
 // Announces that this session lives, under a key, until it closes; and watches such keys (those alive now are reported first).
 int net_announce(Net*, const char* key);
 // Takes an announcement back before that (a car was despawned).
 int net_retract(Net*, const char* key);
 int net_watch(Net*, const char* key_expression);
-// 1 if some other session subscribes to the key now; a cached flag, cheap.
+// 1 if some other session subscribes to the key now; a cached flag, cheap. The first call, or put, declares the key: 0 until
+// then.
 int net_matching(Net*, const char* key);
 
 enum NetKind { NET_SAMPLE, NET_QUERY, NET_REPLY, NET_REPLY_END, NET_ALIVE, NET_GONE };
@@ -66,7 +70,7 @@ typedef struct NetEvent {
   const char* key;      // zero-terminated
   const uint8_t* data;  // aligned to 16 bytes
   size_t size;
-  uint64_t ticket;      // NET_QUERY: for net_reply; NET_REPLY, NET_REPLY_END: of net_get
+  uint64_t ticket;  // NET_QUERY: for net_reply; NET_REPLY, NET_REPLY_END: of net_get
 } NetEvent;
 
 // Waits until something arrived or timeout_us passed (0: does not wait); fills up to `capacity` events, samples in the order
@@ -74,7 +78,8 @@ typedef struct NetEvent {
 // One thread at a time polls a Net; every other function may be called from any thread.
 int net_poll(Net*, NetEvent* events, uint32_t capacity, uint64_t timeout_us);
 
-// Answers a query (as an error reply if failed); a query that is never answered times out at the asker.
+// Answers a query, once (as an error reply if failed); one that is never answered times out at the asker. The answer has the
+// queryable's key, or the key asked for where the queryable's names many.
 int net_reply(Net*, uint64_t ticket, const void* data, size_t size, int failed);
 
 typedef struct NetStats {
@@ -95,7 +100,8 @@ int recorder_open(const char* path, const char* profile, const char* library, Re
 // Schema of encoding "flatbuffer" (data: .bfbs), and a channel with message encoding "flatbuffer". Return an id >= 0.
 int recorder_schema(Recorder*, const char* name, const void* bfbs, size_t size);
 int recorder_channel(Recorder*, const char* topic, int schema);
-int recorder_write(Recorder*, int channel, uint32_t sequence, uint64_t log_time_ns, uint64_t publish_time_ns, const void* data, size_t size);
+int recorder_write(Recorder*, int channel, uint32_t sequence, uint64_t log_time_ns, uint64_t publish_time_ns, const void* data,
+                   size_t size);
 int recorder_attach(Recorder*, const char* name, const char* media_type, const void* data, size_t size);
 // pairs: key, value, key, value, ..., NULL.
 int recorder_metadata(Recorder*, const char* name, const char* const* pairs);

@@ -50,6 +50,12 @@ float Checker::number(const Place& place, const char* field, float value, double
   return float(least);
 }
 
+double Checker::energy(const Place& place, const char* field, double value) {
+  finite(place, field, value);
+  if (value < 0) refuse(Reason::out_of_range, place, field, "is " + text(value) + " J; at least 0 J is needed");
+  return value;
+}
+
 Eigen::Vector3d Checker::vector(const Place& place, const char* field, const schema::Vec3& value, double longest,
                                 const char* unit) {
   const Eigen::Vector3d vector(value.x(), value.y(), value.z());

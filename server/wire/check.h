@@ -27,6 +27,7 @@ struct Checker {
   void refuse(Reason, const Place&, const char* field, const std::string& fact);
   void finite(const Place&, const char* field, double);
   float number(const Place&, const char* field, float, double least, double most, const char* unit);
+  double energy(const Place&, const char* field, double);  // J, at least 0
   Eigen::Vector3d vector(const Place&, const char* field, const schema::Vec3&, double longest, const char* unit);
   Pose pose(const Place&, const char* field, const schema::Pose&);
   std::string id(const Place&, const char* field, std::string_view);

@@ -162,6 +162,9 @@ LoadOrder read(const schema::Load& from, Checker& check) {
   body.hardening.assign(state->hardening()->begin(), state->hardening()->end());
   body.edge_rest.assign(state->edge_rest()->begin(), state->edge_rest()->end());
   body.tet_rest.assign(state->tet_rest()->begin(), state->tet_rest()->end());
+  body.absorbed = check.energy({"load.state"}, "absorbed", state->absorbed());
+  body.stored = check.energy({"load.state"}, "stored", state->stored());
+  body.settled = state->settled();
   return order;
 }
 

@@ -63,7 +63,7 @@ struct ParametersOrder {
 struct SaveOrder {};
 struct LoadOrder {
   std::string asset;
-  Body state;  // its arrays of node, gradients, hardening, edge_rest and tet_rest; sizes are not checked yet
+  Body state;  // all but step, reach and impulses; sizes are not checked yet
 };
 using Order = std::variant<SpawnOrder, DespawnOrder, RepairOrder, ParametersOrder, SaveOrder, LoadOrder>;
 

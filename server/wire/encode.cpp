@@ -53,7 +53,8 @@ Bytes encode_state(const std::string& asset, const Body& body) {
   const auto hardening = builder.CreateVector(body.hardening);
   const auto edge_rest = builder.CreateVector(body.edge_rest);
   const auto tet_rest = builder.CreateVector(body.tet_rest);
-  return finish(builder, schema::CreateState(builder, name, node, gradients, hardening, edge_rest, tet_rest));
+  return finish(builder, schema::CreateState(builder, name, node, gradients, hardening, edge_rest, tet_rest, body.absorbed,
+                                             body.stored, body.settled));
 }
 
 Bytes encode_tick_end(const TickEnd& end) {

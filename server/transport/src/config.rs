@@ -3,8 +3,8 @@
 use crate::fail::{BAD_ARGUMENT, Fail};
 use serde_json::{Value, json};
 
-/// Bytes of one message, ours and what is accepted from others (zenoh's own default: 1 GiB).
-pub const MAX_MESSAGE: usize = 8 << 20;
+/// Bytes of one message, ours and what is accepted from others: a baked car of 50,000 nodes has 20 MB (zenoh allows 1 GiB).
+pub const MAX_MESSAGE: usize = 64 << 20;
 /// zenoh's headers on top
 const MAX_HEADERS: usize = 64 << 10;
 

@@ -1,0 +1,58 @@
+// What the benchmarks share: the car on the bench, two clocks, and a count of threads. A benchmark is named ROOM/CAR or
+// ROOM/CAR/THREADS; bench/tables.py reads these names. What is set up between two runs is not in the times. Rooms of the loop
+// on one thread are measured in processor time of that thread, so that other work on the machine hardly counts; all else by the
+// wall.
+#pragma once
+
+#include <benchmark/benchmark.h>
+#include <tbb/task_arena.h>
+#include <time.h>
+
+#include <algorithm>
+#include <chrono>
+#include <functional>
+#include <string>
+#include <thread>
+
+#include "asset/car.h"
+
+namespace crumple {
+
+// One car file; SURFACE-NODES.car gives the tables their row.
+struct Bench {
+  std::filesystem::path file;
+  std::string name;  // its stem
+  std::shared_ptr<const Car> car;
+};
+
+// Bake time: reading, constraints, skin, the whole assembly, and loading what came of them.
+void register_bake(const std::shared_ptr<const Bench>&);
+// Run time: contacts, solvers, flow, surface, the loop of the thesis, the messages.
+void register_loop(const std::shared_ptr<const Bench>&);
+
+// As many cars side by side as here are cores; more than the thesis's six would no longer be its table.
+inline int all_threads() { return std::clamp(int(std::thread::hardware_concurrency()), 1, 6); }
+
+inline double wall_seconds() {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+inline double thread_seconds() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return double(now.tv_sec) + 1e-9 * double(now.tv_nsec);
+}
+
+inline double seconds_of(const std::function<void()>& work) {
+  const double start = wall_seconds();
+  work();
+  return wall_seconds() - start;
+}
+
+// body: times each iteration itself and tells it by SetIterationTime.
+inline benchmark::internal::Benchmark* register_room(const std::string& name,
+                                                     const std::function<void(benchmark::State&)>& body) {
+  return benchmark::RegisterBenchmark(name.c_str(), body)->UseManualTime()->Unit(benchmark::kMillisecond);
+}
+
+}  // namespace crumple

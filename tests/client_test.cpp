@@ -1,0 +1,315 @@
+// The viewer's decoder against the server's encoder, against loss, doubling and reordering, and against hostile bytes; and the
+// scene files.
+#include <gtest/gtest.h>
+
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <random>
+
+#include "cpp/crumple_client.h"
+#include "cpp/scene.h"
+#include "cpp/surface.h"
+#include "schema/message_generated.h"
+#include "wire/surface.h"
+
+namespace crumple {
+namespace {
+
+using client::Applied;
+using client::apply_delta;
+using client::apply_keyframe;
+using client::Quanta;
+
+constexpr uint32_t vertices = 700;  // eleven blocks, the last cut
+const std::string asset = "0123456789abcdef";
+
+std::span<const uint8_t> bytes_of(const Bytes& bytes) { return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}; }
+
+Quanta random_quanta(std::mt19937& random, size_t count = vertices) {
+  std::uniform_int_distribution<int> value(-32767, 32767);
+  Quanta quanta(3 * count);
+  for (auto& q : quanta) q = static_cast<int16_t>(value(random));
+  return quanta;
+}
+
+std::vector<Bytes> keyframe(uint64_t tick, const Quanta& quanta, uint32_t largest = vertices) {
+  return encode_keyframe({tick, asset, 0.0005f}, quanta, largest);
+}
+
+std::vector<Bytes> delta(uint64_t tick, const Quanta& quanta, uint64_t key_tick, const Quanta& key) {
+  return encode_delta({tick, asset, 0.0005f}, quanta, key_tick, key);
+}
+
+client::Surface holding(uint64_t tick, const Quanta& quanta) {
+  client::Surface surface;
+  EXPECT_EQ(apply_keyframe(bytes_of(keyframe(tick, quanta).front()), surface).applied, Applied::whole);
+  return surface;
+}
+
+TEST(Client, HoldsAKeyframeAsTheServerEncodedIt) {
+  std::mt19937 random(1);
+  const Quanta quanta = random_quanta(random);
+  const client::Surface surface = holding(7, quanta);
+  EXPECT_EQ(surface.quanta, quanta);
+  EXPECT_EQ(surface.tick, 7u);
+  EXPECT_EQ(surface.hash, hash(quanta));
+  EXPECT_EQ(surface.asset, asset);
+  EXPECT_FLOAT_EQ(surface.quantum, 0.0005f);
+}
+
+TEST(Client, AKeyframeInPartsIsWholeWithItsLastPartInAnyOrder) {
+  std::mt19937 random(2);
+  const Quanta quanta = random_quanta(random);
+  auto parts = keyframe(7, quanta, 100);
+  ASSERT_EQ(parts.size(), 7u);
+  std::shuffle(parts.begin(), parts.end(), random);
+  client::Surface surface;
+  for (size_t i = 0; i + 1 < parts.size(); ++i) {
+    EXPECT_EQ(apply_keyframe(bytes_of(parts[i]), surface).applied, Applied::part);
+    EXPECT_TRUE(surface.quanta.empty());
+  }
+  EXPECT_EQ(apply_keyframe(bytes_of(parts.back()), surface).applied, Applied::whole);
+  EXPECT_EQ(surface.quanta, quanta);
+}
+
+TEST(Client, ADeltaIsAgainstTheKeyframeAndWrapsModulo65536) {
+  Quanta key(3 * vertices, 0), now(3 * vertices, 0);
+  key[0] = 32767;
+  now[0] = -32767;
+  key[3 * vertices - 1] = -32767;
+  now[3 * vertices - 1] = 32767;
+  client::Surface surface = holding(1, key);
+  EXPECT_EQ(apply_delta(bytes_of(delta(2, now, 1, key).front()), surface).applied, Applied::whole);
+  EXPECT_EQ(surface.quanta, now);
+  // The next one does not build on this one.
+  EXPECT_EQ(apply_delta(bytes_of(delta(3, key, 1, key).front()), surface).applied, Applied::whole);
+  EXPECT_EQ(surface.quanta, key);
+}
+
+TEST(Client, ADeltaInPartsIsWholeOnlyWithAllOfThem) {
+  std::mt19937 random(3);
+  constexpr size_t many = 30'000;
+  const Quanta key = random_quanta(random, many), now = random_quanta(random, many);
+  client::Surface surface;
+  for (const Bytes& part : encode_keyframe({1, asset, 0.0005f}, key)) static_cast<void>(apply_keyframe(bytes_of(part), surface));
+  ASSERT_EQ(surface.quanta, key);
+  const auto parts = delta(2, now, 1, key);
+  ASSERT_GT(parts.size(), 2u);
+  for (size_t i = 0; i + 1 < parts.size(); ++i) {
+    EXPECT_LT(parts[i].size(), 64'000u);
+    EXPECT_EQ(apply_delta(bytes_of(parts[i]), surface).applied, Applied::part);
+    EXPECT_EQ(surface.quanta, key);
+  }
+  EXPECT_EQ(apply_delta(bytes_of(parts.back()), surface).applied, Applied::whole);
+  EXPECT_EQ(surface.quanta, now);
+}
+
+TEST(Client, DropsWhatIsOlderThanWhatItHolds) {
+  std::mt19937 random(4);
+  const Quanta a = random_quanta(random), b = random_quanta(random), c = random_quanta(random);
+  client::Surface surface = holding(10, a);
+  EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), surface).applied, Applied::whole);
+  EXPECT_EQ(apply_delta(bytes_of(delta(11, c, 10, a).front()), surface).applied, Applied::old);
+  EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), surface).applied, Applied::old);
+  EXPECT_EQ(apply_keyframe(bytes_of(keyframe(9, c).front()), surface).applied, Applied::old);
+  EXPECT_EQ(surface.quanta, b);
+}
+
+TEST(Client, ADeltaAgainstAKeyframeThatItLacksAsksForIt) {
+  std::mt19937 random(5);
+  const Quanta a = random_quanta(random), b = random_quanta(random), c = random_quanta(random);
+  client::Surface empty;
+  EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), empty).applied, Applied::missing_keyframe);
+  client::Surface surface = holding(10, a);
+  EXPECT_EQ(apply_delta(bytes_of(delta(22, c, 20, b).front()), surface).applied, Applied::missing_keyframe);
+  EXPECT_EQ(surface.quanta, a);
+  EXPECT_EQ(apply_keyframe(bytes_of(keyframe(20, b).front()), surface).applied, Applied::whole);
+  EXPECT_EQ(apply_delta(bytes_of(delta(22, c, 20, b).front()), surface).applied, Applied::whole);
+  EXPECT_EQ(surface.quanta, c);
+}
+
+TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards) {
+  std::mt19937 random(6);
+  std::vector<std::pair<bool, Bytes>> sent;  // keyframe?, message
+  std::map<uint64_t, Quanta> truth;
+  Quanta key, now = random_quanta(random);
+  uint64_t key_tick = 0;
+  for (uint64_t tick = 1; tick <= 300; ++tick) {
+    for (int i = 0; i < 40; ++i) now[random() % now.size()] = static_cast<int16_t>(random());
+    truth[tick] = now;
+    const bool is_key = tick % 60 == 1;
+    if (is_key) {
+      key = now;
+      key_tick = tick;
+    }
+    for (Bytes& part : is_key ? keyframe(tick, now, 300) : delta(tick, now, key_tick, key)) {
+      if (random() % 5 == 0) continue;              // lost
+      for (unsigned n = random() % 8 == 0 ? 2 : 1; n > 0; --n) sent.emplace_back(is_key, part);
+    }
+  }
+  for (size_t i = 0; i + 1 < sent.size(); ++i)
+    if (random() % 4 == 0) std::swap(sent[i], sent[std::min(sent.size() - 1, i + 1 + random() % 6)]);
+  client::Surface surface;
+  uint64_t last = 0, advanced = 0;
+  for (const auto& [is_key, message] : sent) {
+    const auto outcome = is_key ? apply_keyframe(bytes_of(message), surface) : apply_delta(bytes_of(message), surface);
+    EXPECT_NE(outcome.applied, Applied::refused) << outcome.why;
+    if (outcome.applied == Applied::missing_keyframe)  // it asks, and is answered with the keyframe of now
+      static_cast<void>(apply_keyframe(bytes_of(keyframe(key_tick, key).front()), surface));
+    if (surface.quanta.empty()) continue;
+    ASSERT_EQ(surface.quanta, truth.at(surface.tick));
+    EXPECT_GE(surface.tick, last);
+    advanced += surface.tick > last;
+    last = surface.tick;
+  }
+  EXPECT_GT(advanced, 10u);
+  static_cast<void>(apply_keyframe(bytes_of(keyframe(301, now).front()), surface));
+  EXPECT_EQ(surface.quanta, now);
+}
+
+// Whatever the bytes, what is held afterwards is a surface whose hash was stated with it.
+void expect_sound(const client::Surface& surface) {
+  if (!surface.quanta.empty()) {
+    EXPECT_EQ(hash(surface.quanta), surface.hash);
+  }
+}
+
+using Apply = client::Outcome (*)(std::span<const uint8_t>, client::Surface&);
+
+void try_every_prefix(const Bytes& message, Apply apply, const client::Surface& before) {
+  for (size_t size = 0; size < message.size(); ++size) {
+    const Bytes prefix(message.begin(), message.begin() + static_cast<ptrdiff_t>(size));
+    client::Surface surface = before;
+    const auto outcome = apply(bytes_of(prefix), surface);
+    if (size + 8 > message.size() && outcome.applied == Applied::whole) continue;  // only padding was cut
+    EXPECT_EQ(outcome.applied, Applied::refused) << "prefix of " << size << " bytes";
+    EXPECT_FALSE(outcome.why.empty());
+    EXPECT_EQ(surface.quanta, before.quanta);
+  }
+}
+
+void try_every_bit_flip(Bytes message, Apply apply, const client::Surface& before) {
+  for (size_t bit = 0; bit < 8 * message.size(); ++bit) {
+    message[bit / 8] ^= static_cast<std::byte>(1u << bit % 8);
+    client::Surface surface = before;
+    static_cast<void>(apply(bytes_of(message), surface));
+    expect_sound(surface);
+    message[bit / 8] ^= static_cast<std::byte>(1u << bit % 8);
+  }
+}
+
+TEST(Client, RefusesEveryPrefixOfAKeyframe) {
+  std::mt19937 random(7);
+  const Quanta quanta = random_quanta(random, 130);
+  try_every_prefix(keyframe(5, quanta).front(), apply_keyframe, {});
+}
+
+TEST(Client, RefusesEveryPrefixOfADelta) {
+  std::mt19937 random(8);
+  const Quanta key = random_quanta(random, 130), now = random_quanta(random, 130);
+  try_every_prefix(delta(6, now, 5, key).front(), apply_delta, holding(5, key));
+}
+
+TEST(Client, SurvivesEveryBitFlipOfAKeyframe) {
+  std::mt19937 random(9);
+  const Quanta quanta = random_quanta(random, 130);
+  try_every_bit_flip(keyframe(5, quanta).front(), apply_keyframe, holding(4, random_quanta(random, 130)));
+}
+
+TEST(Client, SurvivesEveryBitFlipOfADelta) {
+  std::mt19937 random(10);
+  const Quanta key = random_quanta(random, 130), now = random_quanta(random, 130);
+  try_every_bit_flip(delta(6, now, 5, key).front(), apply_delta, holding(5, key));
+}
+
+Bytes hand_made_delta(uint32_t count, uint32_t first, std::vector<uint64_t> changed, size_t differences) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto words = builder.CreateVector(changed);
+  const auto numbers = builder.CreateVector(std::vector<int16_t>(differences, 1));
+  builder.Finish(schema::CreateDelta(builder, 6, 5, count, first, words, numbers, 0));
+  const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {data, data + builder.GetSize()};
+}
+
+TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
+  const client::Surface held = holding(5, Quanta(3 * vertices, 0));
+  const auto outcome = [&](const Bytes& message) {
+    client::Surface surface = held;
+    return apply_delta(bytes_of(message), surface).applied;
+  };
+  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64)), Applied::part);  // fits; only its hash is not met
+  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64 + 3)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64 - 1)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {uint64_t{1} << 11}, 3 * 64)), Applied::refused);  // beyond the last block
+  EXPECT_EQ(outcome(hand_made_delta(vertices, vertices, {0}, 0)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(vertices, UINT32_MAX, {1}, 3 * 64)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(0, 0, {0}, 0)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(UINT32_MAX, 0, {1}, 3 * 64)), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(vertices + 1, 0, {1}, 3 * 64)), Applied::refused);  // another car
+  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, std::vector<uint64_t>(1'000, 0), 0)), Applied::refused);
+}
+
+TEST(Client, ASessionWithoutAServerSaysWhatToDo) {
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  Crumple* session = nullptr;
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_CLOSED);
+  EXPECT_EQ(session, nullptr);
+  EXPECT_NE(std::strstr(crumple_error(), "crumple serve"), nullptr) << crumple_error();
+}
+
+TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
+  Crumple* session = nullptr;
+  CrumpleOptions options{CRUMPLE_CLIENT_VERSION + 1, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+  options.version = CRUMPLE_CLIENT_VERSION;
+  options.scene = "ma/in";
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+  options.scene = "main";
+  options.host = "*";
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+}
+
+std::string scene_trouble(const std::string& text) {
+  const auto path = std::filesystem::temp_directory_path() / "crumple_scene_test.json";
+  std::ofstream(path) << text;
+  try {
+    static_cast<void>(client::read_scene(path.string()));
+  } catch (const std::runtime_error& error) {
+    return error.what();
+  }
+  return "";
+}
+
+TEST(Scene, EverySceneOfTheRepositoryIsRead) {
+  size_t count = 0;
+  for (const auto& file : std::filesystem::directory_iterator(std::string(CRUMPLE_SOURCE_DIR) + "/clients/scenes")) {
+    const schema::SceneT scene = client::read_scene(file.path().string());
+    EXPECT_FALSE(scene.about.empty());
+    EXPECT_FALSE(scene.obstacles.empty()) << file.path();
+    ++count;
+  }
+  EXPECT_GE(count, 6u);
+}
+
+TEST(Scene, AMistakeIsToldWithFileAndLine) {
+  const std::string trouble = scene_trouble("{\n  \"about\": \"x\",\n  \"speeed\": 3\n}\n");
+  EXPECT_NE(trouble.find("crumple_scene_test.json:3"), std::string::npos) << trouble;
+  EXPECT_NE(trouble.find("speeed"), std::string::npos) << trouble;
+}
+
+TEST(Scene, ValuesOutOfRangeAreToldByName) {
+  const auto with = [](const std::string& hit) {
+    return R"({"about": "x", "obstacles": [], "hits": [{"position": {"x": 0, "y": 0, "z": 0}, )" + hit + "}]}";
+  };
+  const std::string forward = R"("direction": {"x": 1, "y": 0, "z": 0})";
+  EXPECT_EQ(scene_trouble(with(forward)), "");
+  EXPECT_NE(scene_trouble(with(R"("direction": {"x": 0, "y": 0, "z": 0})")).find("direction"), std::string::npos);
+  EXPECT_NE(scene_trouble(with(forward + R"(, "repair": 2)")).find("repair"), std::string::npos);
+  EXPECT_NE(scene_trouble(with(forward + R"(, "seconds": -1)")).find("seconds"), std::string::npos);
+  EXPECT_NE(scene_trouble(R"({"about": "x", "obstacles": [], "hits": []})").find("hits"), std::string::npos);
+  EXPECT_NE(scene_trouble("").find("crumple_scene_test.json"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace crumple

@@ -1,0 +1,377 @@
+// The program as a user runs it: server and verbs as processes, hosts and viewers through the client library, real zenoh on
+// loopback. Waits for messages, never for time; a deadline ends a wait that would not end.
+#include <gtest/gtest.h>
+#include <poll.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+
+#include "box_car.h"
+#include "cpp/crumple_client.h"
+#include "schema/message_generated.h"
+#include "transport/transport.h"
+
+namespace crumple {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+constexpr std::chrono::seconds patience{90};  // for a machine under load with sanitizers on
+
+// A child whose standard output and error are read here.
+class Process {
+ public:
+  explicit Process(std::vector<std::string> arguments) {
+    int ends[2];
+    EXPECT_EQ(pipe(ends), 0);
+    arguments.insert(arguments.begin(), CRUMPLE_PROGRAM);
+    child_ = fork();
+    if (child_ == 0) {
+      dup2(ends[1], STDOUT_FILENO);
+      dup2(ends[1], STDERR_FILENO);
+      close(ends[0]);
+      close(ends[1]);
+      std::vector<char*> pointers;
+      for (std::string& argument : arguments) pointers.push_back(argument.data());
+      pointers.push_back(nullptr);
+      execv(pointers[0], pointers.data());
+      _exit(127);
+    }
+    close(ends[1]);
+    output_ = ends[0];
+  }
+  ~Process() {
+    if (child_ > 0) {
+      kill(child_, SIGKILL);
+      wait();
+    }
+    close(output_);
+  }
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
+
+  // Reads until the text is there; false when the output ended or the deadline passed first.
+  bool read_until(const std::string& wanted) {
+    const auto deadline = Clock::now() + patience;
+    while (text.find(wanted) == std::string::npos) {
+      const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(deadline - Clock::now());
+      pollfd waiting{output_, POLLIN, 0};
+      if (left.count() <= 0 || ::poll(&waiting, 1, static_cast<int>(left.count())) <= 0) return false;
+      char chunk[4096];
+      const ssize_t size = read(output_, chunk, sizeof chunk);
+      if (size <= 0) return false;
+      text.append(chunk, static_cast<size_t>(size));
+    }
+    return true;
+  }
+  void send(int signal) const { kill(child_, signal); }
+  // Exit code, or minus the signal that ended it.
+  int wait() {
+    read_until(std::string(1, '\0'));  // to the end of its output
+    int status = 0;
+    waitpid(child_, &status, 0);
+    child_ = -1;
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+  }
+
+  std::string text;
+
+ private:
+  pid_t child_ = -1;
+  int output_ = -1;
+};
+
+struct Outcome {
+  int code;
+  std::string text;
+};
+
+Outcome run(std::vector<std::string> arguments) {
+  Process process(std::move(arguments));
+  const int code = process.wait();
+  return {code, process.text};
+}
+
+class EndToEnd : public testing::Test {
+ protected:
+  void SetUp() override {
+    char name[] = "/tmp/crumple_test_XXXXXX";
+    folder = mkdtemp(name);
+    car_file = folder / "box.car";
+    const auto bytes = box_car_bytes({6, 3, 2});
+    std::ofstream(car_file, std::ios::binary).write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    asset = read_car(bytes, "box")->hash;
+  }
+  void TearDown() override {
+    for (Crumple* session : sessions) crumple_close(session);
+    server.reset();
+    std::filesystem::remove_all(folder);
+  }
+
+  std::string path(const char* name) const { return (folder / name).string(); }
+
+  void start(std::vector<std::string> arguments) {
+    server = std::make_unique<Process>(std::move(arguments));
+    ASSERT_TRUE(server->read_until("\n")) << server->text;
+    const size_t at = server->text.find("tcp/");
+    ASSERT_NE(at, std::string::npos) << server->text;
+    endpoint = server->text.substr(at, server->text.find(',', at) - at);
+  }
+  void start_server(const std::string& recording) {
+    start({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0", "--record", recording, "--threads", "2"});
+  }
+
+  Crumple* open(const char* host = nullptr) {
+    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 30'000, endpoint.c_str(), "main", host};
+    Crumple* session = nullptr;
+    EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_OK) << crumple_error();
+    if (session) sessions.push_back(session);
+    return session;
+  }
+
+  // Polls the session until the condition holds; false at the deadline.
+  static bool until(Crumple* session, const std::function<bool()>& condition) {
+    const auto deadline = Clock::now() + patience;
+    while (!condition()) {
+      if (Clock::now() > deadline || crumple_poll(session, 100'000) < 0) return false;
+    }
+    return true;
+  }
+
+  static CrumpleAnswer answer(Crumple* session, int status, const uint64_t& ticket) {
+    CrumpleAnswer result{};
+    EXPECT_EQ(status, CRUMPLE_OK) << crumple_error();
+    EXPECT_EQ(crumple_wait(session, ticket, &result), CRUMPLE_OK) << crumple_error();
+    return result;
+  }
+
+  void spawn(Crumple* session) {
+    CrumpleSpawn spawn{};
+    spawn.pose.orientation[3] = 1;
+    spawn.planar = 1;
+    uint64_t ticket = 0;
+    const CrumpleAnswer got = answer(session, crumple_spawn(session, "box", asset.c_str(), &spawn, &ticket), ticket);
+    EXPECT_TRUE(got.ok) << got.sentence;
+  }
+
+  // A wall 0.3 m before the car's nose, the car at 10 m/s; until it has bounced off and nothing is told of it any more.
+  void crash(Crumple* session) {
+    CrumpleObstacle wall{};
+    wall.shape = CRUMPLE_BOX;
+    wall.size[0] = 1, wall.size[1] = 3, wall.size[2] = 3;
+    wall.pose = {{2.25 + 0.3 + 1, 0, 0}, {0, 0, 0, 1}};
+    ASSERT_EQ(crumple_publish_obstacles(session, &wall, 1), CRUMPLE_OK) << crumple_error();
+    CrumpleCarPose pose{};
+    pose.car = "box";
+    pose.pose.orientation[3] = 1;
+    pose.velocity[0] = 10;
+    ASSERT_EQ(crumple_publish_poses(session, 0, &pose, 1), CRUMPLE_OK) << crumple_error();
+    int free_ticks = 0;
+    bool hit = false;
+    ASSERT_TRUE(until(session, [&] {
+      CrumpleReaction reaction;
+      while (crumple_take_reactions(session, &reaction, 1) == 1) {
+        hit |= reaction.contacts > 0;
+        free_ticks = hit && reaction.contacts == 0 ? free_ticks + 1 : 0;
+      }
+      return free_ticks >= 25;
+    })) << "no crash, or it does not end";
+  }
+
+  static uint64_t hash_held(Crumple* session) {
+    CrumpleSurface surface{};
+    return crumple_surface(session, "box", &surface) == CRUMPLE_OK ? surface.hash : 0;
+  }
+  static int deepest(Crumple* session) {
+    CrumpleSurface surface{};
+    if (crumple_surface(session, "box", &surface) != CRUMPLE_OK) return -1;
+    int most = 0;
+    for (uint32_t i = 0; i < 3 * surface.vertex_count; ++i) most = std::max(most, std::abs(int{surface.quanta[i]}));
+    return most;
+  }
+
+  std::filesystem::path folder, car_file;
+  std::string asset, endpoint;
+  std::unique_ptr<Process> server;
+  std::vector<Crumple*> sessions;
+};
+
+TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
+  start_server(path("session.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  Crumple* viewer = open();
+  ASSERT_NE(viewer, nullptr);
+  ASSERT_EQ(crumple_follow(viewer, nullptr), CRUMPLE_OK);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  EXPECT_GT(deepest(host), 40) << "in quanta of 0.5 mm";
+
+  const uint64_t dent = hash_held(host);
+  EXPECT_TRUE(until(viewer, [&] { return hash_held(viewer) == dent; })) << "two viewers differ";
+  Crumple* late = open();
+  ASSERT_EQ(crumple_follow(late, nullptr), CRUMPLE_OK);
+  EXPECT_TRUE(until(late, [&] { return hash_held(late) == dent; })) << "the late joiner differs";
+
+  CrumpleSurface surface{};
+  ASSERT_EQ(crumple_surface(late, "box", &surface), CRUMPLE_OK);
+  EXPECT_EQ(surface.asset, asset);
+  EXPECT_TRUE(surface.alive);
+  CrumpleMesh mesh{};
+  ASSERT_TRUE(until(late, [&] { return crumple_mesh(late, asset.c_str(), &mesh) == CRUMPLE_OK; }));
+  EXPECT_EQ(mesh.vertex_count, surface.vertex_count);
+  EXPECT_STREQ(mesh.attribution, "made by the tests");
+  std::vector<float> strided(8 * size_t{mesh.vertex_count}, -1.0f);
+  ASSERT_EQ(crumple_copy(late, "box", strided.data(), 32, mesh.vertex_count), CRUMPLE_OK);
+  EXPECT_FLOAT_EQ(strided[8 + 2], 0.0005f * static_cast<float>(surface.quanta[5]));
+  EXPECT_EQ(strided[3], -1.0f) << "what lies between the vertices is the caller's";
+
+  // State: saved, repaired, loaded again.
+  uint64_t ticket = 0;
+  const CrumpleAnswer saved = answer(host, crumple_save(host, "box", &ticket), ticket);
+  ASSERT_TRUE(saved.ok);
+  const std::vector<uint8_t> state(saved.state, saved.state + saved.state_size);
+  EXPECT_TRUE(answer(host, crumple_repair(host, "box", 1, &ticket), ticket).ok);
+  EXPECT_TRUE(until(viewer, [&] { return deepest(viewer) == 0; })) << "repair did not arrive";
+  EXPECT_TRUE(answer(host, crumple_load(host, "box", state.data(), state.size(), &ticket), ticket).ok);
+  EXPECT_TRUE(until(viewer, [&] { return hash_held(viewer) == dent; })) << "load gave another dent";
+
+  EXPECT_TRUE(answer(host, crumple_despawn(host, "box", &ticket), ticket).ok);
+  EXPECT_TRUE(until(viewer, [&] { return crumple_surface(viewer, "box", &surface) == CRUMPLE_OK && !surface.alive; }));
+
+  server->send(SIGINT);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  for (const char* threads : {"1", "2", "4"}) {
+    const Outcome outcome = run({"replay", path("session.mcap"), "--verify", "--threads", threads});
+    EXPECT_EQ(outcome.code, 0) << outcome.text;
+    EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
+  }
+  const Outcome info = run({"info", path("session.mcap")});
+  EXPECT_EQ(info.code, 0);
+  for (const char* part : {"made by the tests", "hosts tester", "car box  at", "car/box/delta/0"})
+    EXPECT_NE(info.text.find(part), std::string::npos) << part << "\n" << info.text;
+
+  // As a film, to a viewer that knows nothing of the session.
+  start({"replay", path("session.mcap"), "--publish", "--loop", "--listen", "tcp/127.0.0.1:0"});
+  Crumple* audience = open();
+  ASSERT_NE(audience, nullptr);
+  ASSERT_EQ(crumple_follow(audience, "box"), CRUMPLE_OK);
+  EXPECT_TRUE(until(audience, [&] { return hash_held(audience) == dent; })) << "the film does not show the dent";
+}
+
+TEST_F(EndToEnd, AServerKilledInTheMiddleLeavesARecordingThatVerifies) {
+  start_server(path("killed.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  CrumpleHealth health{};
+  uint64_t tick = 0;
+  ASSERT_TRUE(until(host, [&] {  // two more seconds, so that the crash is older than what may be lost
+    if (crumple_health(host, &health) == CRUMPLE_OK && tick == 0) tick = health.tick;
+    return tick != 0 && health.tick >= tick + 120;
+  }));
+  server->send(SIGKILL);
+  EXPECT_EQ(server->wait(), -SIGKILL);
+  const Outcome outcome = run({"replay", path("killed.mcap"), "--verify"});
+  EXPECT_EQ(outcome.code, 0) << outcome.text;
+  EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find("cut off"), std::string::npos) << outcome.text;
+  EXPECT_NE(run({"info", path("killed.mcap")}).text.find("car box  at"), std::string::npos);
+}
+
+// Copies a recording and makes one input of it another; gives the tick of that input.
+uint32_t falsify(const std::string& from, const std::string& to) {
+  Reader* reader = nullptr;
+  Recorder* recorder = nullptr;
+  EXPECT_EQ(reader_open(from.c_str(), &reader), 0) << transport_error();
+  EXPECT_EQ(recorder_open(to.c_str(), "crumple", "test", &recorder), 0) << transport_error();
+  const char *name, *type;
+  const char* const* pairs;
+  const uint8_t* data;
+  size_t size;
+  for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i) recorder_metadata(recorder, name, pairs);
+  for (uint32_t i = 0; reader_attachment(reader, i, &name, &type, &data, &size) == 1; ++i)
+    recorder_attach(recorder, name, type, data, size);
+  std::map<std::string, int> channels;
+  uint32_t tick = 0;
+  for (ReaderMessage message; reader_next(reader, &message) == 1;) {
+    const auto [channel, fresh] = channels.try_emplace(message.topic);
+    if (fresh) channel->second = recorder_channel(recorder, message.topic, recorder_schema(recorder, message.schema, "", 0));
+    std::vector<uint8_t> bytes(message.data, message.data + message.size);
+    if (channel->first.ends_with("/poses")) {
+      auto* car = flatbuffers::GetMutableRoot<schema::Poses>(bytes.data())->cars()->Get(0);
+      *const_cast<schema::Vec3*>(car->velocity()) = schema::Vec3(9.999f, 0, 0);
+      tick = message.sequence;
+    }
+    recorder_write(recorder, channel->second, message.sequence, message.log_time_ns, message.publish_time_ns, bytes.data(), bytes.size());
+  }
+  reader_close(reader);
+  EXPECT_EQ(recorder_close(recorder), 0);
+  return tick;
+}
+
+TEST_F(EndToEnd, AnInputThatWasChangedAfterwardsIsFoundAtItsTick) {
+  start_server(path("true.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const uint32_t tick = falsify(path("true.mcap"), path("false.mcap"));
+  EXPECT_GT(tick, 0u);
+  const Outcome outcome = run({"replay", path("true.mcap"), path("false.mcap"), "--verify"});
+  EXPECT_EQ(outcome.code, 1);
+  EXPECT_NE(outcome.text.find("true.mcap: every tick identical"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find("false.mcap: tick " + std::to_string(tick) + " differs"), std::string::npos) << outcome.text;
+}
+
+TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
+  start_server(path("drive.mcap"));
+  std::ofstream(path("scene.json")) << R"({"about": "Into a wall.", "mass": 1000,
+    "parameters": [{"young_modulus": 4e6, "region": -1}],
+    "obstacles": [{"shape": "box", "size": {"x": 1, "y": 3, "z": 3},
+                   "pose": {"position": {"x": 4, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}}],
+    "hits": [{"position": {"x": 0, "y": 0, "z": 0}, "direction": {"x": 1, "y": 0, "z": 0}, "speed_kmh": 36, "seconds": 1}]})";
+  const Outcome drive = run({"drive", path("scene.json"), "--car", car_file.string(), "--connect", endpoint, "--leave"});
+  EXPECT_EQ(drive.code, 0) << drive.text;
+  for (const char* part : {"contact at 36.0 km/h", "residual crush", "36.0 km/h", "made by the tests"})
+    EXPECT_NE(drive.text.find(part), std::string::npos) << part << "\n" << drive.text;
+  const Outcome watch = run({"watch", "--once", "--connect", endpoint, "--obj", path("dent.obj")});
+  EXPECT_EQ(watch.code, 0) << watch.text;
+  EXPECT_NE(watch.text.find("hash "), std::string::npos) << watch.text;
+  std::ifstream obj(path("dent.obj"));
+  const std::string text{std::istreambuf_iterator<char>(obj), {}};
+  EXPECT_NE(text.find("made by the tests"), std::string::npos);
+  EXPECT_NE(text.find("\nf "), std::string::npos);
+}
+
+TEST_F(EndToEnd, ExitCodesAndErrorsSayWhatToDo) {
+  EXPECT_EQ(run({"--help"}).code, 0);
+  EXPECT_EQ(run({"serve", "--help"}).code, 0);
+  EXPECT_EQ(run({}).code, 2);
+  EXPECT_EQ(run({"serve", "--car", car_file.string(), "--rate", "-3"}).code, 2);
+  EXPECT_EQ(run({"replay", car_file.string()}).code, 2);
+  const Outcome not_recording = run({"replay", car_file.string(), "--verify"});
+  EXPECT_EQ(not_recording.code, 1);
+  EXPECT_NE(not_recording.text.find("box.car"), std::string::npos) << not_recording.text;
+  std::ofstream(path("bad.car")) << "not a car";
+  const Outcome bad_car = run({"serve", "--car", path("bad.car"), "--listen", "tcp/127.0.0.1:0"});
+  EXPECT_EQ(bad_car.code, 1);
+  EXPECT_NE(bad_car.text.find("bad.car"), std::string::npos) << bad_car.text;
+  const Outcome nowhere = run({"watch", "--once", "--connect", "tcp/127.0.0.1:1"});
+  EXPECT_EQ(nowhere.code, 1);
+  EXPECT_NE(nowhere.text.find("crumple serve"), std::string::npos) << nowhere.text;
+}
+
+}  // namespace
+}  // namespace crumple

@@ -1,0 +1,103 @@
+// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie.
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <regex>
+#include <set>
+#include <string>
+#include <vector>
+
+namespace {
+
+namespace fs = std::filesystem;
+const fs::path root = CRUMPLE_SOURCE_DIR;
+
+struct Source {
+  std::string name;  // relative to the root
+  std::string text;
+};
+
+std::vector<Source> sources(const std::string& folder) {
+  std::vector<Source> found;
+  for (const auto& entry : fs::recursive_directory_iterator(root / folder)) {
+    const auto extension = entry.path().extension();
+    if (extension != ".cpp" && extension != ".h") continue;
+    std::ifstream file(entry.path());
+    found.push_back({fs::relative(entry.path(), root).string(), {std::istreambuf_iterator<char>(file), {}}});
+  }
+  return found;
+}
+
+// The room that a path below server/ or a quoted include belongs to; files directly in server/ are "server".
+std::string room_of(const std::string& path) {
+  const size_t slash = path.find('/');
+  return slash == std::string::npos ? "server" : path.substr(0, slash);
+}
+
+TEST(Layout, EachRoomIncludesOnlyTheRoomsItMay) {
+  const std::map<std::string, std::set<std::string>> allowed = {
+      {"sim", {"sim"}},
+      {"asset", {"asset", "sim", "schema"}},
+      {"wire", {"wire", "sim", "schema"}},
+      {"transport", {"transport"}},
+      {"server", {"server", "sim", "asset", "wire", "schema", "transport", "cpp"}},
+  };
+  const std::regex include("#include \"([^\"]+)\"");
+  int checked = 0;
+  for (const Source& source : sources("server")) {
+    const std::string room = room_of(source.name.substr(7));
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), include), end; i != end; ++i) {
+      EXPECT_TRUE(allowed.at(room).count(room_of((*i)[1]))) << source.name << " includes " << (*i)[1];
+      ++checked;
+    }
+  }
+  EXPECT_GT(checked, 100);
+}
+
+TEST(Layout, ClientsKnowNothingOfTheServerButItsTransport) {
+  const std::regex include("#include \"([^\"]+)\"");
+  for (const Source& source : sources("clients")) {
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), include), end; i != end; ++i) {
+      const std::string room = room_of((*i)[1]);
+      EXPECT_TRUE(room == "server" || room == "cpp" || room == "schema" || room == "transport") << source.name << " includes " << (*i)[1];
+      if (room == "server") {  // a bare name: a file beside it
+        EXPECT_TRUE(fs::exists((root / source.name).parent_path() / (*i)[1].str())) << source.name << " includes " << (*i)[1];
+      }
+    }
+  }
+}
+
+TEST(Layout, TheSimulationKnowsNoClockThreadFileOrRandomNumber) {
+  const std::regex forbidden("#include <(chrono|thread|mutex|atomic|fstream|iostream|filesystem|random|ctime|tbb/[^>]*)>|\\bstd::time\\(|\\brand\\(|\\bgetenv\\(");
+  for (const std::string room : {"server/sim", "server/wire"}) {
+    for (const Source& source : sources(room)) {
+      std::smatch hit;
+      EXPECT_FALSE(std::regex_search(source.text, hit, forbidden)) << source.name << ": " << hit.str();
+    }
+  }
+}
+
+TEST(Layout, NothingBreaksThePromiseOfTheSameBits) {
+  const std::regex forbidden("ffast-math|fp-contract=fast|_mm_rsqrt|std::(log|exp|pow|sin|cos|tan|atan2|cbrt)\\(");
+  for (const Source& source : sources("server/sim")) {
+    std::smatch hit;
+    EXPECT_FALSE(std::regex_search(source.text, hit, forbidden)) << source.name << ": " << hit.str();
+  }
+  std::ifstream file(root / "CMakeLists.txt");
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  EXPECT_NE(text.find("-ffp-contract=off"), std::string::npos);
+  EXPECT_EQ(text.find("fast-math"), std::string::npos);
+}
+
+TEST(Layout, TheTopLevelHoldsWhatTheReadmeSaysAndNothingElse) {
+  const std::set<std::string> allowed = {"CMakeLists.txt", "LICENSE", "README.md", "bench", "clients",
+                                         "recordings",     "schema",  "server",    "tests", "build"};
+  for (const auto& entry : fs::directory_iterator(root)) {
+    const std::string name = entry.path().filename().string();
+    EXPECT_TRUE(name[0] == '.' || allowed.count(name)) << name;
+  }
+}
+
+}  // namespace

@@ -1,0 +1,164 @@
+"""A host and viewer in plain Python: PyPI eclipse-zenoh and flatbuffers, and the code that flatc generates from schema/.
+
+Starts a server, spawns a car, drives it into a wall, and reads keyframes and deltas until the dent shows. Also the shortest
+example of the contract for other languages.
+
+    python tests/python_client_test.py build/crumple CAR
+"""
+
+import importlib
+import pathlib
+import queue
+import re
+import subprocess
+import sys
+import time
+
+import flatbuffers
+import zenoh
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "clients" / "python"))
+import schema  # noqa: E402,F401  makes crumple.schema
+
+PATIENCE = 60  # s for a message that must come
+
+
+def table(name):
+    return getattr(importlib.import_module(f"crumple.schema.{name}"), name)
+
+
+def made(name, **fields):
+    """An object of the generated object API with these fields."""
+    module = importlib.import_module(f"crumple.schema.{name}")
+    thing = getattr(module, name + "T")()
+    for field, value in fields.items():
+        assert hasattr(thing, field), f"{name} has no {field}"
+        setattr(thing, field, value)
+    return thing
+
+
+def packed(thing):
+    builder = flatbuffers.Builder()
+    builder.Finish(thing.Pack(builder))
+    return bytes(builder.Output())
+
+
+def vec3(x=0.0, y=0.0, z=0.0):
+    return made("Vec3", x=x, y=y, z=z)
+
+
+def pose(x=0.0, y=0.0, z=0.0):
+    return made("Pose", position=made("Vec3d", x=x, y=y, z=z), orientation=made("Quat", x=0.0, y=0.0, z=0.0, w=1.0))
+
+
+class Server:
+    def __init__(self, program, car):
+        command = [program, "serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "py"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.endpoint = re.search(r"tcp/[0-9.:]+", self.process.stdout.readline()).group()
+        self.asset = re.search(r"car ([0-9a-f]{16})", self.process.stdout.readline()).group(1)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.terminate()
+        assert self.process.wait(PATIENCE) == 0, "the server did not end cleanly"
+
+
+def order(session, key, kind, body):
+    Order = importlib.import_module("crumple.schema.Order").Order
+    command = packed(made("Command", orderType=getattr(Order, kind), order=body))
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:  # until the session has heard of the server's queryable
+        for reply in session.get(key, payload=command, timeout=10):
+            assert reply.ok is not None, bytes(reply.err.payload)
+            answer = table("Answer").GetRootAs(bytes(reply.ok.payload))
+            assert answer.Ok(), answer.Sentence()
+            return
+    raise AssertionError("no server answers")
+
+
+class Surface:
+    """Displacements in quanta, of the newest tick: keyframes replace them, deltas say what differs from the keyframe."""
+
+    def __init__(self):
+        self.keyframe, self.key, self.now = None, [], []
+
+    def take_keyframe(self, message):
+        assert message.DisplacementLength() == 3 * message.VertexCount(), "a car this small comes in one part"
+        self.keyframe = message.Tick()
+        self.key = [message.Displacement(i) for i in range(message.DisplacementLength())]
+        self.now = self.key
+
+    def take_delta(self, message):
+        if message.Keyframe() != self.keyframe:
+            return  # its keyframe was lost, or is still to come
+        now, at = list(self.key), 0
+        for block in range(64 * message.ChangedLength()):
+            if not message.Changed(block // 64) >> block % 64 & 1:
+                continue
+            start = message.First() + 64 * block
+            for i in range(3 * start, 3 * min(start + 64, message.VertexCount())):
+                now[i] = (now[i] + message.Difference(at) + 32768) % 65536 - 32768
+                at += 1
+        assert at == message.DifferenceLength()
+        self.now = now
+
+    def deepest(self):
+        return max((abs(q) for q in self.now), default=0)
+
+
+def crash(session, asset):
+    inbox = queue.Queue()
+    root = "crumple/1/py/"
+    subscribers = [session.declare_subscriber(root + key, inbox.put) for key in ("car/py1/key", "car/py1/delta/0")]
+    poses = session.declare_publisher(root + "host/python/poses")
+    obstacles = session.declare_publisher(root + "host/python/obstacles")
+    order(session, root + "car/py1", "Spawn", made("Spawn", asset=asset, host="python", pose=pose()))
+
+    Shape = importlib.import_module("crumple.schema.Shape").Shape
+    wall = made("Obstacle", id=1, shape=Shape.box, size=vec3(1.0, 5.0, 5.0), pose=pose(x=6.0), friction=0.3)
+    surface, deltas, sequence = Surface(), 0, 0
+    for reply in session.get(root + "car/py1/key", timeout=10):  # as a viewer that comes late
+        surface.take_keyframe(table("Keyframe").GetRootAs(bytes(reply.ok.payload)))
+    assert surface.keyframe is not None and surface.deepest() == 0, "a car that was just spawned has no dent"
+
+    start = time.monotonic()
+    while time.monotonic() < start + PATIENCE and not (deltas and surface.deepest() > 20):
+        if not deltas:  # once it has hit something it goes its own way
+            sequence += 1
+            obstacles.put(packed(made("Obstacles", sequence=sequence, obstacles=[wall])))
+            x = 10.0 * (time.monotonic() - start)
+            car = made("CarPose", car="py1", pose=pose(x=x), velocity=vec3(x=10.0), angularVelocity=vec3())
+            poses.put(packed(made("Poses", sequence=sequence, time=x / 10, cars=[car])))
+        try:
+            sample = inbox.get(timeout=1 / 60)
+        except queue.Empty:
+            continue
+        data = bytes(sample.payload)
+        if str(sample.key_expr).endswith("/key"):
+            surface.take_keyframe(table("Keyframe").GetRootAs(data))
+        else:
+            surface.take_delta(table("Delta").GetRootAs(data))
+            deltas += 1
+    for subscriber in subscribers:
+        subscriber.undeclare()
+    assert surface.deepest() > 20, f"no dent after {deltas} deltas"
+    print(f"{deltas} deltas, deepest displacement {0.5 * surface.deepest():.1f} mm")
+
+
+def main(program, car):
+    if not pathlib.Path(car).exists():
+        subprocess.run([program, "bake", "built-in", "-o", car, "--nodes", "1000"], check=True)
+    with Server(program, car) as server:
+        config = zenoh.Config()
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
+        config.insert_json5("scouting/multicast/enabled", "false")
+        with zenoh.open(config) as session:
+            crash(session, server.asset)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:3])
