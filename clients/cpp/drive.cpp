@@ -9,7 +9,6 @@
 #include <cmath>
 #include <cstdio>
 #include <fstream>
-#include <optional>
 #include <stdexcept>
 #include <vector>
 
@@ -28,6 +27,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr double gravity = 9.81;           // m/s^2
 constexpr double braking = 0.7 * gravity;  // locked wheels on a dry road
+constexpr double silence = 2;              // s: a server that is late in a crash is not heard of for so long
 constexpr double patience = 60;            // s beyond the scene's, for a server that is late
 constexpr double yaw_braking = 5;          // rad/s^2: the same at wheels 1.3 m from the centre of a car of 1500 kg, 2600 kg m^2
 
@@ -65,6 +65,8 @@ struct Moving {
   Vector3d center = Vector3d::Zero();  // of mass, car's frame
   uint64_t seen = 0;
   bool hit = false, touching = false;
+  double told_seconds = 0;  // of server time since the reactions of the host tick before
+  double silence = 0;       // s without a reaction
 
   void advance(double seconds) {
     const Vector3d middle = position + orientation * center + velocity * seconds;
@@ -116,6 +118,9 @@ struct Run {
   Session session;
   double rate = 60, mass = 0;
   double server_time = 0;        // s
+  double tick_ms = 0, worst_ms = 0;  // of the server: mean of its busiest second, and the longest tick
+  uint64_t late = 0;
+  CrumpleReaction last{};        // the newest
   uint64_t told = 0;             // newest tick of the server that an answer named
   double energy = 0;             // absorbed since spawn, as of the last reaction
   Clock::time_point start = Clock::now();
@@ -238,8 +243,12 @@ void publish_pose(Run& run, const Moving& car) {
 // As far as this host knows: from reactions, and from health once a second.
 double server_time(Run& run) {
   CrumpleHealth health;
-  if (crumple_health(run.session.handle, &health) == CRUMPLE_OK)
+  if (crumple_health(run.session.handle, &health) == CRUMPLE_OK) {
     run.server_time = std::max(run.server_time, static_cast<double>(health.tick) / static_cast<double>(health.rate));
+    run.tick_ms = std::max(run.tick_ms, static_cast<double>(health.tick_ms));
+    run.worst_ms = std::max(run.worst_ms, static_cast<double>(health.worst_ms));
+    run.late = health.late;
+  }
   return run.server_time;
 }
 
@@ -257,37 +266,43 @@ double crush(Run& run, const Vector3d& travel) {
 
 // Takes the reactions of this host tick. Returns whether the car now stands where the server put it.
 bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
-  CrumpleReaction reactions[64];
-  const size_t count = crumple_take_reactions(run.session.handle, reactions, 64);
-  std::optional<CrumpleReaction> last;
-  bool touched = false;
-  for (size_t i = 0; i < count; ++i) {
-    const CrumpleReaction& reaction = reactions[i];
+  CrumpleReaction reaction;
+  bool touched = false, any = false;
+  const double before = run.server_time;
+  while (crumple_take_reactions(run.session.handle, &reaction, 1) == 1) {
     if (run.options.id != reaction.car || reaction.tick <= car.seen) continue;
     const double tick = reaction.time / static_cast<double>(reaction.tick);
     const Vector3d impulse = vector_of(reaction.impulse);
     const bool contact = reaction.contacts > 0 || impulse.squaredNorm() > 0;
-    touched |= contact;
+    const double reached = vector_of(reaction.velocity).dot(travel);
+    if (contact && !car.hit && !touched) result.before = reached - impulse.dot(travel) / run.mass;
+    if (contact) result.after = reached;
     result.peak = std::max(result.peak, -impulse.dot(travel) / (run.mass * tick));
-    if (contact) result.after = vector_of(reaction.velocity).dot(travel);
     run.energy = reaction.energy_absorbed;
     run.server_time = std::max(run.server_time, reaction.time);
-    last = reaction;
     car.seen = reaction.tick;
     car.touching = contact;
+    run.last = reaction;
+    touched |= contact;
+    any = true;
   }
-  if (!last) return false;
+  car.silence = any ? 0 : car.silence + 1 / run.rate;
+  if (!any) return false;
+  car.told_seconds = run.server_time - before;
   // 1 m/s: more than braking explains in the ticks that a reaction is late, so a reaction with contact was lost.
-  if (!touched && (!car.hit || (vector_of(last->velocity) - car.velocity).norm() < 1)) return false;
+  if (!touched && (!car.hit || (vector_of(run.last.velocity) - car.velocity).norm() < 1)) return false;
   car.hit = true;
-  adopt(*last, car);
+  adopt(run.last, car);
   return true;
 }
 
-// What the road and gravity do to the velocity in one host tick.
+// What the road and gravity do to the velocity in one host tick. A car that falls does so in the server's time, tick by tick as
+// reactions tell of it: if ticks are late while it lies on the ground, ours would press it ever harder.
 void slow_down(bool planar, double seconds, Moving& car) {
   if (!planar) {
-    car.velocity.z() -= gravity * seconds;
+    const bool told = car.silence < silence;
+    if (car.hit) car.velocity.z() -= gravity * (told ? car.told_seconds : seconds);
+    car.told_seconds = 0;
   } else if (car.hit && !car.touching) {
     const double speed = car.velocity.norm();
     car.velocity *= speed > 0 ? std::max(0.0, speed - braking * seconds) / speed : 0;
@@ -330,7 +345,6 @@ Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep
     const bool had_hit = car.hit, placed = react(run, travel, car, result);
     slow_down(run.scene.planar, step, car);
     if (!placed && i > 0) car.advance(step);
-    if (!car.hit) result.before = car.velocity.dot(travel);
     publish_pose(run, car);
     if (keep_publishing && i % std::llround(run.rate) == 0) publish_obstacles(run);
     result.dynamic = std::max(result.dynamic, crush(run, in_car));
@@ -349,15 +363,12 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
     std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1, 3.6 * r.before,
                 3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
   }
-  CrumpleHealth health{};
   CrumpleStatistics statistics;
   crumple_statistics(run.session.handle, &statistics);
-  std::printf("\n  surface received: %.1f kB in %.1f s (%.1f kB/s)", 1e-3 * static_cast<double>(statistics.surface_bytes), seconds,
-              1e-3 * static_cast<double>(statistics.surface_bytes) / seconds);
-  if (crumple_health(run.session.handle, &health) == CRUMPLE_OK)
-    std::printf("; server: %.2f ms a tick, worst %.2f, %llu late", health.tick_ms, health.worst_ms,
-                static_cast<unsigned long long>(health.late));
-  std::printf("\n");
+  const auto bytes = static_cast<double>(statistics.surface_bytes);
+  std::printf("\n  surface received: %.1f kB, %.0f bytes a second over %.1f s\n", 1e-3 * bytes, bytes / seconds, seconds);
+  std::printf("  server: %.2f ms a tick in its busiest second, worst %.1f ms, %llu ticks late\n", run.tick_ms, run.worst_ms,
+              static_cast<unsigned long long>(run.late));
 }
 
 }  // namespace
