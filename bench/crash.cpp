@@ -68,8 +68,9 @@ struct Run {
 };
 
 void walls(const Car& car) {
-  std::printf("\n| wall, km/h | dynamic crush, mm | residual, mm | restitution | peak in one tick, g | energy found / brought |\n"
-              "|---|---|---|---|---|---|\n");
+  std::printf(
+      "\n| wall, km/h | dynamic crush, mm | residual, mm | restitution | peak in one tick, g | energy found / brought |\n"
+      "|---|---|---|---|---|---|\n");
   for (double speed : {16.0, 32.0, 48.0, 57.0}) {
     Run run(car);
     run.motion.velocity = {speed / 3.6, 0, 0};
@@ -91,8 +92,9 @@ void rates(const Car& car) {
 }
 
 void pushes(const Car& car, bool all) {
-  std::printf("\n| 0.40 m push in 40 ticks: sweeps | residual, mm | rear moved, mm | side bulge, mm | inverted tets |\n"
-              "|---|---|---|---|---|\n");
+  std::printf(
+      "\n| 0.40 m push in 40 ticks: sweeps | residual, mm | rear moved, mm | side bulge, mm | inverted tets |\n"
+      "|---|---|---|---|---|\n");
   for (int sweeps : {5, 20, 200}) {
     if (sweeps == 200 && !all) continue;
     Run run(car);

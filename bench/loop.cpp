@@ -82,11 +82,7 @@ using Work = std::function<void(const Scene&, Lane&)>;
 
 // Seconds per lane of `work` on all lanes at once, a thread each.
 double side_by_side(const Scene& scene, std::vector<Lane>& lanes, tbb::task_arena& arena, const Work& work) {
-  if (lanes.size() == 1) {
-    const double start = thread_seconds();
-    work(scene, lanes[0]);
-    return thread_seconds() - start;
-  }
+  if (lanes.size() == 1) return seconds_of([&] { work(scene, lanes[0]); }, thread_seconds);
   const auto all = [&] { tbb::parallel_for(size_t(0), lanes.size(), [&](size_t i) { work(scene, lanes[i]); }); };
   return seconds_of([&] { arena.execute(all); }) / double(lanes.size());
 }
@@ -188,10 +184,11 @@ void register_messages(const std::shared_ptr<const Bench>& bench) {
       size_t size = 0;
       for (auto _ : state) {
         std::vector<Bytes> parts;
-        state.SetIterationTime(seconds_of([&] {
+        const auto tell = [&] {
           quantise(lanes[0].vertex, bench->car->model.vertex, head.quantum, displacement);
           parts = encode(head, displacement);
-        }));
+        };
+        state.SetIterationTime(seconds_of(tell, thread_seconds));
         size = 0;
         for (const Bytes& part : parts) size += part.size();
       }

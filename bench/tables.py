@@ -96,7 +96,8 @@ def table_62(runs, thesis):
     for car in runs.cars:
         serial, parallel = (map_and_constrain(runs, car, threads) for threads in (1, runs.threads))
         se, pa = (thesis["6.2", *car, c] for c in ("se", "pa"))
-        rows.append([*car, number(se), ours(serial), number(pa), ours(parallel), ratio(se, best(serial)), ratio(pa, best(parallel))])
+        rows.append([*car, number(se), ours(serial), number(pa), ours(parallel), ratio(se, best(serial)),
+                     ratio(pa, best(parallel))])
     head = ["surface", "nodes", "se thesis", "se ours", "pa thesis", "pa ours", "se gain", "pa gain"]
     return "### 6.2 Initialization, serial (se) and parallel (pa)\n" + table(head, rows)
 
@@ -104,7 +105,8 @@ def table_62(runs, thesis):
 def table_64(runs, thesis):
     rows = []
     for car in runs.cars:
-        count, found, inside = runs.fact("load", car, "vertices"), *(runs.fact("skin", car, f) for f in ("coincident", "contained"))
+        count = runs.fact("load", car, "vertices")
+        found, inside = (runs.fact("skin", car, field) for field in ("coincident", "contained"))
         rows.append([*car, number(thesis["6.4", *car, "quota"]), f"{found / count:.2f}", f"{inside / count:.2f}",
                      f"{1 - (found + inside) / count:.2f}"])
     head = ["surface", "nodes", "on a node, thesis", "on a node, ours", "inside a tet", "on the nearest tet"]
@@ -116,8 +118,10 @@ def table_65(runs, thesis):
     for car in runs.cars:
         parallel, whole = map_and_constrain(runs, car, runs.threads), runs("assemble", car, runs.threads)
         pa, pd = (thesis["6.5", *car, c] for c in ("pa", "pd"))
-        rows.append([*car, number(pa), number(pd), ours(parallel), ours(whole), ratio(pd, best(parallel)), ratio(pd, best(whole))])
-    head = ["surface", "nodes", "pa thesis", "pd thesis", "constraints + mapping, ours", "whole assembly, ours", "gain", "gain, whole"]
+        rows.append([*car, number(pa), number(pd), ours(parallel), ours(whole), ratio(pd, best(parallel)),
+                     ratio(pd, best(whole))])
+    head = ["surface", "nodes", "pa thesis", "pd thesis", "constraints + mapping, ours", "whole assembly, ours", "gain",
+            "gain, whole"]
     return "### 6.5 Parallel initialization without (pa) and with (pd) direct mapping\n" + table(head, rows)
 
 
@@ -128,7 +132,8 @@ def table_67(runs, thesis):
         whole, load = runs("assemble", car, runs.threads), runs("load", car)
         megabytes = runs.fact("load", car, "bytes") / 1e6
         rows.append([*car, number(pd), ours(whole), number(dd), ours(load), ratio(dd, best(load)), number(megabytes)])
-    head = ["surface", "nodes", "generated (pd), thesis", "generated, ours", "loaded (dd), thesis", "loaded, ours", "gain", "file, MB"]
+    head = ["surface", "nodes", "generated (pd), thesis", "generated, ours", "loaded (dd), thesis", "loaded, ours", "gain",
+            "file, MB"]
     return "### 6.7 Initialization generated (pd) or loaded from a file (dd)\n" + table(head, rows)
 
 
@@ -160,7 +165,8 @@ def beyond(runs):
         tets, steps = runs.fact("load", car, "tets"), runs.fact("nodal_6", car, "substeps")
         sweep = (best(runs("nodal_6", car)) - best(runs("nodal_2", car))) / 4 / steps
         flow, contacts = (best(runs("nodal_6", car, 1, f)) for f in ("flow_ms", "contacts_ms"))
-        rows.append([*car, f"{tets:,.0f}", f"{tets + runs.fact('load', car, 'edges'):,.0f}", number(classic_ns(runs, car, False)),
+        rows.append([*car, f"{tets:,.0f}", f"{tets + runs.fact('load', car, 'edges'):,.0f}",
+                     number(classic_ns(runs, car, False)),
                      number(classic_ns(runs, car, True)), number(sweep * 1e6 / tets), number(flow * 1e6 / tets),
                      number(contacts * 1e3), number(best(runs("tick", car))), number(best(runs("delta", car)) * 1e3),
                      f"{runs.fact('delta', car, 'bytes'):,.0f}", number(best(runs("keyframe", car)) * 1e3)])
@@ -207,11 +213,12 @@ def heading(runs):
         "# Tables 6.1 to 6.9 of the thesis, and ours",
         f"{first['date'][:10]}, commit {commit()}, {processor()}, {cores} cores; parallel: {runs.threads} threads. "
         "Thesis: Intel Core i5-8500, 3.00 GHz, 6 cores.",
-        "Times in ms. Ours: **best** (median) of the repetitions.",
+        "Times in ms. Ours: **best** (median) of the repetitions; serial rooms of the loop (6.8 and below) in processor time, "
+        "all else by the wall.",
     ]
     if load > 1.5:  # the benchmark's own thread is one
-        lines.append(f"**The machine was busy with other work: load {load:.1f} on {cores} cores. Medians, and whatever runs longer "
-                     "than a time slice, are too high by as much.**")
+        lines.append(f"**The machine was busy with other work: load {load:.1f} on {cores} cores. What is measured by the wall "
+                     "is too high, parallel figures most.**")
     missing = [car for car in [(s, n) for s in (1259, 3674) for n in (1000, 5000, 10000, 50000)] if car not in runs.cars]
     if missing:
         lines.append("Not measured: " + ", ".join(f"{s} x {n}" for s, n in missing) + ".")
@@ -222,22 +229,26 @@ def main():
     runs, thesis = Runs(sys.argv[1:]), read_thesis()
     parts = [heading(runs)]
     if MEDIUM in runs.cars:
-        parts.append("In 6.1, 6.3 and 6.6, reading is of the surface as OBJ and of the tets as Medit text, as long as the thesis's files; "
-                     f"{number(best(runs('read_tets', MEDIUM)))} ms of it are a Python child that reads the tets, most of them its start. "
-                     "Ours always maps through a tree and by coincidence, so one measurement stands in all three.")
+        parts.append("In 6.1, 6.3 and 6.6, reading is of the surface as OBJ and of the tets as Medit text; "
+                     f"{number(best(runs('read_tets', MEDIUM)))} ms of it are a Python child that reads the tets, most of "
+                     "them its start. "
+                     "Ours always maps through a tree and by coincidence, so 6.3 and 6.6 show the same measurement.")
         parts.append(initialization(runs, thesis, "6.1", "Serial initialization, 3674 x 5000", 1))
     parts.append("In 6.2 and 6.5 ours is constraints + mapping; the thesis's figures hold about 40 ms of file reading too. "
-                 "The whole assembly also orders nodes and vertices, paints regions and writes, reads back and checks the file.")
+                 "The whole assembly also orders nodes and vertices, paints regions and writes, reads back and checks the "
+                 "file.")
     parts.append(table_62(runs, thesis).replace("2,910", "2,910 (sic: 29,100)"))
     if MEDIUM in runs.cars:
         parts.append(initialization(runs, thesis, "6.3", "Parallel initialization, 3674 x 5000", runs.threads))
     parts += [table_64(runs, thesis), table_65(runs, thesis)]
     if MEDIUM in runs.cars:
-        parts.append(initialization(runs, thesis, "6.6", "Parallel initialization with direct mapping, 3674 x 5000", runs.threads))
+        parts.append(initialization(runs, thesis, "6.6", "Parallel initialization with direct mapping, 3674 x 5000",
+                                    runs.threads))
     parts.append(table_67(runs, thesis))
-    parts.append("cp: collision projection (coarse test and contacts of a tick); cs: constraint solving, one iteration of `classic`; "
-                 "bc: barycentric update of the surface. total, ours: the loop as the server runs it, with what lies between the "
-                 "three. In 6.9 the thesis spreads one car over its threads; we put a car on each thread and divide by the cars.")
+    parts.append("cp: collision projection (coarse test and contacts of a tick); cs: constraint solving, one iteration of "
+                 "`classic`; bc: barycentric update of the surface. total, ours: the loop as the server runs it, with what "
+                 "lies between the three. In 6.9 the thesis spreads one car over its threads; we put a car on each thread and "
+                 "divide by the cars.")
     parts.append(loop(runs, thesis, "6.8", "Deformation loop, serial", 1))
     parts.append(loop(runs, thesis, "6.9", f"Deformation loop, parallel ({runs.threads} threads)", runs.threads))
     parts += [beyond(runs), goals(runs)]

@@ -9,14 +9,14 @@
 namespace crumple {
 
 struct ServeOptions {
-  std::vector<std::string> cars;                // baked files that may be spawned
+  std::vector<std::string> cars;  // baked files that may be spawned
   std::string scene = "main";
-  std::string listen = "tcp/127.0.0.1:7447";    // port 0: any free one, printed
-  double rate = 60;                             // ticks a second
-  int threads = 0;                              // 0: as many as there are cores
+  std::string listen = "tcp/127.0.0.1:7447";  // port 0: any free one, printed
+  double rate = 60;                           // ticks a second
+  int threads = 0;                            // 0: as many as there are cores
   double quantum_mm = 0.5;
-  std::string record;                           // file; empty: none
-  double seconds = 0;                           // ends after these; 0: by SIGINT
+  std::string record;  // file; empty: none
+  double seconds = 0;  // ends after these; 0: by SIGINT
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.

@@ -92,7 +92,8 @@ TEST(Client, ADeltaInPartsIsWholeOnlyWithAllOfThem) {
   constexpr size_t many = 30'000;
   const Quanta key = random_quanta(random, many), now = random_quanta(random, many);
   client::Surface surface;
-  for (const Bytes& part : encode_keyframe({1, asset, 0.0005f}, key)) static_cast<void>(apply_keyframe(bytes_of(part), surface));
+  for (const Bytes& part : encode_keyframe({1, asset, 0.0005f}, key))
+    static_cast<void>(apply_keyframe(bytes_of(part), surface));
   ASSERT_EQ(surface.quanta, key);
   const auto parts = delta(2, now, 1, key);
   ASSERT_GT(parts.size(), 2u);
@@ -144,7 +145,7 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
       key_tick = tick;
     }
     for (Bytes& part : is_key ? keyframe(tick, now, 300) : delta(tick, now, key_tick, key)) {
-      if (random() % 5 == 0) continue;              // lost
+      if (random() % 5 == 0) continue;  // lost
       for (unsigned n = random() % 8 == 0 ? 2 : 1; n > 0; --n) sent.emplace_back(is_key, part);
     }
   }

@@ -103,7 +103,8 @@ class EndToEnd : public testing::Test {
     folder = mkdtemp(name);
     car_file = folder / "box.car";
     const auto bytes = box_car_bytes({6, 3, 2});
-    std::ofstream(car_file, std::ios::binary).write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    std::ofstream(car_file, std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
     asset = read_car(bytes, "box")->hash;
   }
   void TearDown() override {
@@ -311,7 +312,8 @@ uint32_t falsify(const std::string& from, const std::string& to) {
       *const_cast<schema::Vec3*>(car->velocity()) = schema::Vec3(9.999f, 0, 0);
       tick = message.sequence;
     }
-    recorder_write(recorder, channel->second, message.sequence, message.log_time_ns, message.publish_time_ns, bytes.data(), bytes.size());
+    recorder_write(recorder, channel->second, message.sequence, message.log_time_ns, message.publish_time_ns, bytes.data(),
+                   bytes.size());
   }
   reader_close(reader);
   EXPECT_EQ(recorder_close(recorder), 0);

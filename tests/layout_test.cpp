@@ -61,7 +61,8 @@ TEST(Layout, ClientsKnowNothingOfTheServerButItsTransport) {
   for (const Source& source : sources("clients")) {
     for (std::sregex_iterator i(source.text.begin(), source.text.end(), include), end; i != end; ++i) {
       const std::string room = room_of((*i)[1]);
-      EXPECT_TRUE(room == "server" || room == "cpp" || room == "schema" || room == "transport") << source.name << " includes " << (*i)[1];
+      EXPECT_TRUE(room == "server" || room == "cpp" || room == "schema" || room == "transport")
+          << source.name << " includes " << (*i)[1];
       if (room == "server") {  // a bare name: a file beside it
         EXPECT_TRUE(fs::exists((root / source.name).parent_path() / (*i)[1].str())) << source.name << " includes " << (*i)[1];
       }
@@ -70,7 +71,10 @@ TEST(Layout, ClientsKnowNothingOfTheServerButItsTransport) {
 }
 
 TEST(Layout, TheSimulationKnowsNoClockThreadFileOrRandomNumber) {
-  const std::regex forbidden("#include <(chrono|thread|mutex|atomic|fstream|iostream|filesystem|random|ctime|tbb/[^>]*)>|\\bstd::time\\(|\\brand\\(|\\bgetenv\\(");
+  const std::regex forbidden(
+      "#include "
+      "<(chrono|thread|mutex|atomic|fstream|iostream|filesystem|random|ctime|tbb/"
+      "[^>]*)>|\\bstd::time\\(|\\brand\\(|\\bgetenv\\(");
   for (const std::string room : {"server/sim", "server/wire"}) {
     for (const Source& source : sources(room)) {
       std::smatch hit;

@@ -55,7 +55,9 @@ class Server:
     def __init__(self, program, car):
         command = [program, "serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "py"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.endpoint = re.search(r"tcp/[0-9.:]+", self.process.stdout.readline()).group()
+        first = self.process.stdout.readline()
+        assert first, "the server did not start; it says why above"
+        self.endpoint = re.search(r"tcp/[0-9.:]+", first).group()
         self.asset = re.search(r"car ([0-9a-f]{16})", self.process.stdout.readline()).group(1)
 
     def __enter__(self):
@@ -149,7 +151,7 @@ def crash(session, asset):
 
 
 def main(program, car):
-    if not pathlib.Path(car).exists():
+    if subprocess.run([program, "info", car], capture_output=True).returncode != 0:  # not there yet, or of another version
         subprocess.run([program, "bake", "built-in", "-o", car, "--nodes", "1000"], check=True)
     with Server(program, car) as server:
         config = zenoh.Config()

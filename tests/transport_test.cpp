@@ -115,7 +115,7 @@ TEST(Net, DeliversMessagesOfEverySizeUpToTheLimit) {
   const Session server = open_peer(), client = open_client(server);
   ASSERT_EQ(net_subscribe(client.get(), "t/size", 100), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/size"));
-  for (const size_t size : {size_t{0}, size_t{1}, size_t{65535}, size_t{65536}, size_t{1000000}, size_t{64} << 20}) {
+  for (const size_t size : {size_t{0}, size_t{1}, size_t{65535}, size_t{65536}, size_t{1000000}, size_t{8} << 20}) {
     std::string data(size, '\0');
     for (size_t i = 0; i < size; ++i) data[i] = static_cast<char>(i * 31 % 251);
     ASSERT_EQ(put(server, "t/size", data), TRANSPORT_OK) << transport_error();

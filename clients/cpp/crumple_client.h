@@ -35,24 +35,26 @@ typedef struct CrumpleOptions {
   uint32_t timeout_ms;  // for the connection and for each command; 0: 2000
   const char* connect;  // "tcp/127.0.0.1:7447"
   const char* scene;
-  const char* host;     // the id under which this session moves cars; NULL: a viewer only
+  const char* host;  // the id under which this session moves cars; NULL: a viewer only
 } CrumpleOptions;
 
 // Waits until the server of the scene is seen, at most timeout_ms.
 int crumple_open(const CrumpleOptions*, Crumple** out);
 void crumple_close(Crumple*);
 
-// Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative Status.
+// Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative
+// Status.
 int crumple_poll(Crumple*, uint64_t timeout_us);
 
 typedef struct CrumpleStatistics {
-  uint64_t received, received_bytes;    // all messages
-  uint64_t surface, surface_bytes;      // keyframes and deltas among them
-  uint64_t older, refused, asked;       // dropped as older than what is held; malformed; keyframes asked for
+  uint64_t received, received_bytes;  // all messages
+  uint64_t surface, surface_bytes;    // keyframes and deltas among them
+  uint64_t older, refused, asked;     // dropped as older than what is held; malformed; keyframes asked for
 } CrumpleStatistics;
 void crumple_statistics(const Crumple*, CrumpleStatistics* out);
 
-// ---- commands: each gives a ticket; its answer comes by crumple_poll ---------------------------------------------------------
+// ---- commands: each gives a ticket; its answer comes by crumple_poll
+// ---------------------------------------------------------
 
 typedef struct CrumplePose {
   double position[3];
@@ -69,9 +71,9 @@ typedef struct CrumpleSpawn {
 
 // crumple_keep() keeps everything; set what should change. Ranges: the server's server/sim/material.h.
 typedef struct CrumpleParameters {
-  int solver;            // 0 nodal, 1 classic; -1: keep
-  uint32_t iterations;   // 0: keep
-  int region;            // which the fields below are for; -1: all
+  int solver;                                                                      // 0 nodal, 1 classic; -1: keep
+  uint32_t iterations;                                                             // 0: keep
+  int region;                                                                      // which the fields below are for; -1: all
   float young_modulus, poisson_ratio, yield, hardening, plastic_limit, viscosity;  // NaN: keep
   float distance_stiffness, volume_stiffness, plasticity;                          // NaN: keep; of `classic`
 } CrumpleParameters;
@@ -99,7 +101,8 @@ int crumple_answer(Crumple*, uint64_t ticket, CrumpleAnswer* out);
 // Polls until the answer is there or the session's timeout has passed.
 int crumple_wait(Crumple*, uint64_t ticket, CrumpleAnswer* out);
 
-// ---- host --------------------------------------------------------------------------------------------------------------------
+// ---- host
+// --------------------------------------------------------------------------------------------------------------------
 
 typedef struct CrumpleCarPose {
   const char* car;
@@ -129,18 +132,19 @@ int crumple_publish_obstacles(Crumple*, const CrumpleObstacle*, size_t count);
 typedef struct CrumpleReaction {
   const char* car;
   uint64_t tick;
-  double time;                                   // of the server's ticks, s
-  float impulse[3], angular_impulse[3];          // of the tick, N s and N m s about the centre of mass, world
-  CrumplePose pose;                              // at the end of the tick
+  double time;                           // of the server's ticks, s
+  float impulse[3], angular_impulse[3];  // of the tick, N s and N m s about the centre of mass, world
+  CrumplePose pose;                      // at the end of the tick
   float velocity[3], angular_velocity[3];
-  double energy_absorbed, energy_stored;         // J since spawn
-  float deepest;                                 // m
+  double energy_absorbed, energy_stored;  // J since spawn
+  float deepest;                          // m
   uint32_t contacts;
 } CrumpleReaction;
 // The next reactions not yet taken, oldest first; beyond 4096 waiting the oldest are dropped. Returns how many.
 size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
 
-// ---- viewer ------------------------------------------------------------------------------------------------------------------
+// ---- viewer
+// ------------------------------------------------------------------------------------------------------------------
 
 // From now on this car's surface is held; NULL: every car's, those present and those to come.
 int crumple_follow(Crumple*, const char* car);
@@ -148,14 +152,14 @@ int crumple_follow(Crumple*, const char* car);
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
 
 typedef struct CrumpleSurface {
-  uint64_t tick;              // the newest one held whole
-  uint64_t hash;              // XXH64 of the quantised displacements, as the server states it
+  uint64_t tick;  // the newest one held whole
+  uint64_t hash;  // XXH64 of the quantised displacements, as the server states it
   uint32_t vertex_count;
-  float quantum;              // m
-  const char* asset;          // hash of the baked car
-  const int16_t* quanta;      // 3 a vertex: displacement from rest in quanta, car's frame
-  int dirty;                  // changed since the last crumple_copy of this car
-  int alive;                  // 0: despawned, or its server is gone
+  float quantum;          // m
+  const char* asset;      // hash of the baked car
+  const int16_t* quanta;  // 3 a vertex: displacement from rest in quanta, car's frame
+  int dirty;              // changed since the last crumple_copy of this car
+  int alive;              // 0: despawned, or its server is gone
 } CrumpleSurface;
 // CRUMPLE_PENDING: followed, but nothing whole has arrived yet.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
@@ -171,16 +175,16 @@ typedef struct CrumpleMesh {
   float center_of_mass[3];   // m
   float inertia[3];          // kg m^2 about it, along the car's axes
   const char* name;
-  const char* attribution;   // must be shown where the car is shown
+  const char* attribution;  // must be shown where the car is shown
 } CrumpleMesh;
 // CRUMPLE_PENDING until it has arrived. Views live as long as the session.
 int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
 
 typedef struct CrumpleHealth {
-  uint64_t tick, late;       // late: ticks that could not start in time
-  float rate;                // ticks a second
-  float tick_ms, worst_ms;   // of the last second's ticks: mean and worst
-  uint64_t refusals;         // all reasons together
+  uint64_t tick, late;      // late: ticks that could not start in time
+  float rate;               // ticks a second
+  float tick_ms, worst_ms;  // of the last second's ticks: mean and worst
+  uint64_t refusals;        // all reasons together
 } CrumpleHealth;
 int crumple_health(const Crumple*, CrumpleHealth* out);
 

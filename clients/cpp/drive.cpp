@@ -65,7 +65,7 @@ struct Moving {
   Vector3d center = Vector3d::Zero();  // of mass, car's frame
   uint64_t seen = 0;
   bool hit = false, touching = false;
-  double told_seconds = 0;  // of server time since the reactions of the host tick before
+  double told_seconds = 0;  // of the server's time: news of this host tick
   double silence = 0;       // s without a reaction
 
   void advance(double seconds) {
@@ -117,12 +117,12 @@ struct Run {
   const std::atomic<bool>& stop;
   Session session;
   double rate = 60, mass = 0;
-  double server_time = 0;        // s
   double tick_ms = 0, worst_ms = 0;  // of the server: mean of its busiest second, and the longest tick
   uint64_t late = 0;
-  CrumpleReaction last{};        // the newest
-  uint64_t told = 0;             // newest tick of the server that an answer named
-  double energy = 0;             // absorbed since spawn, as of the last reaction
+  CrumpleReaction last{};   // the newest
+  uint64_t tick = 0;        // the server's newest, as far as this host knows
+  double server_rate = 60;  // ticks a second, until health says otherwise
+  double energy = 0;        // absorbed since spawn, as of the last reaction
   Clock::time_point start = Clock::now();
 };
 
@@ -131,7 +131,8 @@ std::string hash_of_car(const std::string& car) {
   if (car.size() == 16 && car.find_first_not_of("0123456789abcdef") == std::string::npos) return car;
   std::ifstream file(car, std::ios::binary);
   const std::string bytes{std::istreambuf_iterator<char>(file), {}};
-  if (!file || bytes.empty()) throw std::runtime_error(car + ": cannot be read: give the file that `crumple bake` wrote, or its hash");
+  if (!file || bytes.empty())
+    throw std::runtime_error(car + ": cannot be read: give the file that `crumple bake` wrote, or its hash");
   char digits[17];
   std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
   return digits;
@@ -142,7 +143,7 @@ void order(Run& run, int status, const uint64_t& ticket, const char* what) {
   need(status);
   CrumpleAnswer answer;
   need(crumple_wait(run.session.handle, ticket, &answer));
-  run.told = std::max(run.told, answer.tick);
+  run.tick = std::max(run.tick, answer.tick);
   if (!answer.ok) throw std::runtime_error(std::string("the server refused to ") + what + ": " + answer.sentence);
 }
 
@@ -172,9 +173,6 @@ Vector3d begin(Run& run) {
   const std::string asset = hash_of_car(run.options.car.empty() ? run.scene.car : run.options.car);
   const Moving first = at_start(*run.scene.hits.front(), Vector3d::Zero());
   const char* id = run.options.id.c_str();
-  uint64_t ticket = 0;
-  CrumpleAnswer ignored;
-  if (crumple_despawn(session, id, &ticket) == CRUMPLE_OK) crumple_wait(session, ticket, &ignored);  // left by an earlier run
   CrumpleSpawn spawn{};
   spawn.pose = pose_of(first);
   spawn.mass = run.scene.mass;
@@ -194,7 +192,15 @@ Vector3d begin(Run& run) {
       spawn.center_of_mass[axis] = mesh.center_of_mass[axis];
     }
   }
-  order(run, crumple_spawn(session, id, asset.c_str(), &spawn, &ticket), ticket, "spawn the car");
+  uint64_t ticket = 0;
+  CrumpleAnswer answer;
+  need(crumple_spawn(session, id, asset.c_str(), &spawn, &ticket));
+  need(crumple_wait(session, ticket, &answer));
+  if (!answer.ok) {  // perhaps an earlier run has left its car
+    order(run, crumple_despawn(session, id, &ticket), ticket, ("spawn the car: " + std::string(answer.sentence)).c_str());
+    order(run, crumple_spawn(session, id, asset.c_str(), &spawn, &ticket), ticket, "spawn the car");
+  }
+  run.tick = std::max(run.tick, answer.tick);
   for (const auto& parameters : run.scene.parameters) {
     const CrumpleParameters to = parameters_of(*parameters);
     order(run, crumple_set_parameters(session, id, &to, &ticket), ticket, "take the scene's parameters");
@@ -240,16 +246,15 @@ void publish_pose(Run& run, const Moving& car) {
   need(crumple_publish_poses(run.session.handle, seconds_since(run.start), &pose, 1));
 }
 
-// As far as this host knows: from reactions, and from health once a second.
-double server_time(Run& run) {
+// Comes once a second.
+void take_health(Run& run) {
   CrumpleHealth health;
-  if (crumple_health(run.session.handle, &health) == CRUMPLE_OK) {
-    run.server_time = std::max(run.server_time, static_cast<double>(health.tick) / static_cast<double>(health.rate));
-    run.tick_ms = std::max(run.tick_ms, static_cast<double>(health.tick_ms));
-    run.worst_ms = std::max(run.worst_ms, static_cast<double>(health.worst_ms));
-    run.late = health.late;
-  }
-  return run.server_time;
+  if (crumple_health(run.session.handle, &health) != CRUMPLE_OK) return;
+  run.tick = std::max(run.tick, health.tick);
+  run.server_rate = health.rate;
+  run.tick_ms = std::max(run.tick_ms, static_cast<double>(health.tick_ms));
+  run.worst_ms = std::max(run.worst_ms, static_cast<double>(health.worst_ms));
+  run.late = health.late;
 }
 
 // Largest displacement of a surface vertex against the direction of travel (car's frame), as this viewer holds it.
@@ -268,7 +273,6 @@ double crush(Run& run, const Vector3d& travel) {
 bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
   CrumpleReaction reaction;
   bool touched = false, any = false;
-  const double before = run.server_time;
   while (crumple_take_reactions(run.session.handle, &reaction, 1) == 1) {
     if (run.options.id != reaction.car || reaction.tick <= car.seen) continue;
     const double tick = reaction.time / static_cast<double>(reaction.tick);
@@ -279,7 +283,8 @@ bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
     if (contact) result.after = reached;
     result.peak = std::max(result.peak, -impulse.dot(travel) / (run.mass * tick));
     run.energy = reaction.energy_absorbed;
-    run.server_time = std::max(run.server_time, reaction.time);
+    run.tick = std::max(run.tick, reaction.tick);
+    car.told_seconds += tick * (car.hit || touched ? static_cast<double>(reaction.tick - car.seen) : 1);
     car.seen = reaction.tick;
     car.touching = contact;
     run.last = reaction;
@@ -288,7 +293,6 @@ bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
   }
   car.silence = any ? 0 : car.silence + 1 / run.rate;
   if (!any) return false;
-  car.told_seconds = run.server_time - before;
   // 1 m/s: more than braking explains in the ticks that a reaction is late, so a reaction with contact was lost.
   if (!touched && (!car.hit || (vector_of(run.last.velocity) - car.velocity).norm() < 1)) return false;
   car.hit = true;
@@ -329,18 +333,20 @@ Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep
   Moving car = at_start(hit, center);
   // Where it starts it knows of every tick so far: the hits before are history, and what comes is news.
   CrumpleReaction stale;
-  while (crumple_take_reactions(run.session.handle, &stale, 1) > 0) run.told = std::max(run.told, stale.tick);
-  car.seen = run.told;
+  while (crumple_take_reactions(run.session.handle, &stale, 1) > 0) run.tick = std::max(run.tick, stale.tick);
+  car.seen = run.tick;
   const Vector3d travel = vector_of(*hit.direction).normalized(), in_car = car.orientation.conjugate() * travel;
   Result result;
   result.before = result.after = car.velocity.dot(travel);
   const double energy_before = run.energy, step = 1 / run.rate;
   const auto begun = Clock::now();
-  const double server_end = server_time(run) + hit.seconds - 1;
+  const uint64_t tick_begun = run.tick;
   for (int64_t i = 0; !run.stop; ++i) {
     const double time = static_cast<double>(i) * step;
-    // A server that is late in a crash is behind our clock: it gets the time that it needs.
-    if (time >= hit.seconds && (server_time(run) >= server_end || time > hit.seconds + patience)) break;
+    // A server that is late in a crash is behind our clock: it gets the time that it needs. Health is up to 1 s old.
+    take_health(run);
+    const double server_seconds = static_cast<double>(run.tick - tick_begun) / run.server_rate;
+    if (time >= hit.seconds && (server_seconds > hit.seconds - 1.1 || time > hit.seconds + patience)) break;
     wait_until(run, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(time)));
     const bool had_hit = car.hit, placed = react(run, travel, car, result);
     slow_down(run.scene.planar, step, car);
@@ -360,8 +366,8 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
   std::printf("\n  hit  speed before  after       peak   dynamic crush  residual crush  energy absorbed\n");
   for (size_t i = 0; i < results.size(); ++i) {
     const Result& r = results[i];
-    std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1, 3.6 * r.before,
-                3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
+    std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1,
+                3.6 * r.before, 3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
   }
   CrumpleStatistics statistics;
   crumple_statistics(run.session.handle, &statistics);

@@ -8,14 +8,14 @@
 namespace crumple::client {
 
 struct DriveOptions {
-  std::string file;                              // the scene
+  std::string file;  // the scene
   std::string connect = "tcp/127.0.0.1:7447";
-  std::string scene = "main";                    // of the server
+  std::string scene = "main";  // of the server
   std::string host = "drive";
-  std::string id = "car";                        // of the car that it spawns
-  std::string car;                               // baked car: file or hash; empty: the scene's
-  double rate = 0;                               // poses a second; 0: the scene's
-  bool leave = false;                            // the car stays in the scene when drive ends
+  std::string id = "car";  // of the car that it spawns
+  std::string car;         // baked car: file or hash; empty: the scene's
+  double rate = 0;         // poses a second; 0: the scene's
+  bool leave = false;      // the car stays in the scene when drive ends
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.

@@ -66,7 +66,8 @@ CrumpleParameters crumple_keep(void) {
 }
 
 int crumple_spawn(Crumple* session, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
-  if (session->host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
+  if (session->host.empty())
+    return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
   if (!good_pose(spawn->pose)) return refuse_pose(car ? car : "a car");
   flatbuffers::FlatBufferBuilder builder;
   const schema::Pose pose = pose_of(spawn->pose);
@@ -168,7 +169,8 @@ int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles
     if (from.shape < CRUMPLE_BOX || from.shape > CRUMPLE_HULL) return fail(CRUMPLE_BAD_ARGUMENT, "shape is not a CrumpleShape");
     if (!good_pose(from.pose)) return refuse_pose("obstacle " + std::to_string(from.id));
     const schema::Pose pose = pose_of(from.pose);
-    const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity), turn = vector_of(from.angular_velocity);
+    const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity),
+                       turn = vector_of(from.angular_velocity);
     std::vector<schema::Vec3> points;
     for (size_t k = 0; k < from.point_count; ++k) points.push_back(vector_of(from.points + 3 * k));
     list.push_back(schema::CreateObstacleDirect(builder, from.id, static_cast<schema::Shape>(from.shape), &size, &points, &pose,

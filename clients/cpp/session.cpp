@@ -87,11 +87,20 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
   const Outcome outcome = keyframe ? apply_keyframe(bytes, car.surface) : apply_delta(bytes, car.surface);
   car.unsure = !asked_for;
   switch (outcome.applied) {
-    case Applied::whole: car.dirty = true; break;
-    case Applied::part: break;
-    case Applied::old: ++session.statistics.older; break;
-    case Applied::missing_keyframe: ask_for_keyframe(session, id, car); break;
-    case Applied::refused: ++session.statistics.refused; break;
+    case Applied::whole:
+      car.dirty = true;
+      break;
+    case Applied::part:
+      break;
+    case Applied::old:
+      ++session.statistics.older;
+      break;
+    case Applied::missing_keyframe:
+      ask_for_keyframe(session, id, car);
+      break;
+    case Applied::refused:
+      ++session.statistics.refused;
+      break;
   }
 }
 
@@ -283,8 +292,8 @@ void ask_the_silent(Crumple& session) {
 int begin(Crumple& session, const char* connect) {
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
   if (net_open("client", nullptr, connect, nullptr, timeout, &session.net) != 0)
-    return fail(CRUMPLE_CLOSED, std::string("cannot reach ") + connect + " (" + transport_error() +
-                                    "): is `crumple serve` running there?");
+    return fail(CRUMPLE_CLOSED,
+                std::string("cannot reach ") + connect + " (" + transport_error() + "): is `crumple serve` running there?");
   const std::string server = session.root + "server", health = session.root + "health";
   if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
@@ -326,7 +335,8 @@ const char* crumple_error(void) { return last_error.c_str(); }
 int crumple_open(const CrumpleOptions* options, Crumple** out) {
   if (!options || !out || options->version != CRUMPLE_CLIENT_VERSION)
     return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
-  if (!options->connect) return fail(CRUMPLE_BAD_ARGUMENT, "options.connect is missing: give an endpoint such as tcp/127.0.0.1:7447");
+  if (!options->connect)
+    return fail(CRUMPLE_BAD_ARGUMENT, "options.connect is missing: give an endpoint such as tcp/127.0.0.1:7447");
   if (!is_id(options->scene) || (options->host && !is_id(options->host)))
     return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
   auto* session = new Crumple;

@@ -87,7 +87,8 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
   if (count == 0 || count > surface_vertex_limit) return refuse("vertex_count of a delta is not in [1, 200000]");
   if (message->first() >= count) return refuse("a delta's part begins beyond vertex_count");
   if (message->keyframe() > message->tick()) return refuse("a delta is older than its keyframe");
-  if (changed.size() > surface_vertex_limit / (64 * block_vertices) + 1) return refuse("changed of a delta is longer than any car");
+  if (changed.size() > surface_vertex_limit / (64 * block_vertices) + 1)
+    return refuse("changed of a delta is longer than any car");
 
   // Sizes first, so that a message that is refused has changed nothing.
   size_t vertices = 0;
@@ -113,8 +114,8 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
       const uint32_t start = message->first() + (64 * word + static_cast<uint32_t>(std::countr_zero(bits))) * block_vertices;
       const uint32_t end = std::min(start + block_vertices, count);
       for (size_t i = size_t{3} * start; i < size_t{3} * end; ++i, ++at)
-        surface.delta_parts.quanta[i] = static_cast<int16_t>(static_cast<uint16_t>(surface.key[i]) +
-                                                             static_cast<uint16_t>(difference.Get(at)));
+        surface.delta_parts.quanta[i] =
+            static_cast<int16_t>(static_cast<uint16_t>(surface.key[i]) + static_cast<uint16_t>(difference.Get(at)));
     }
   if (hash_of(surface.delta_parts.quanta) != message->hash()) return {Applied::part, {}};
   surface.tick = message->tick();

@@ -94,7 +94,8 @@ int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
   need(crumple_follow(session.handle, options.car.empty() ? nullptr : options.car.c_str()));
 
   const double limit = options.seconds > 0 ? options.seconds : options.once ? 10 : 1e9;
-  const auto start = Clock::now(), end = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(limit));
+  const auto start = Clock::now(),
+             end = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(limit));
   auto next = start + std::chrono::seconds(1);
   uint64_t bytes = 0;
   while (!stop && Clock::now() < end && !(options.once && !held_cars(session.handle).empty())) {
@@ -109,8 +110,8 @@ int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
   if (options.once) print(session.handle, 0);
   const auto held = held_cars(session.handle);
   if (held.empty()) {
-    std::fprintf(stderr, "crumple watch: no surface arrived%s%s: is such a car spawned?\n", options.car.empty() ? "" : " of car ",
-                 options.car.c_str());
+    std::fprintf(stderr, "crumple watch: no surface arrived%s%s: is such a car spawned?\n",
+                 options.car.empty() ? "" : " of car ", options.car.c_str());
     return 1;
   }
   if (!options.obj.empty()) write_obj(session.handle, held.front(), options.obj);

@@ -10,10 +10,10 @@ namespace crumple::client {
 struct WatchOptions {
   std::string connect = "tcp/127.0.0.1:7447";
   std::string scene = "main";
-  std::string car;       // empty: all
-  bool once = false;     // prints and ends as soon as a surface is held
-  double seconds = 0;    // ends after these; 0: by SIGINT (with once: 10)
-  std::string obj;       // where to write the surface held at the end
+  std::string car;     // empty: all
+  bool once = false;   // prints and ends as soon as a surface is held
+  double seconds = 0;  // ends after these; 0: by SIGINT (with once: 10)
+  std::string obj;     // where to write the surface held at the end
 };
 
 // Returns the exit code: 1 if nothing was held at the end. Throws std::runtime_error with one sentence if it cannot start.

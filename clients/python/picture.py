@@ -157,7 +157,7 @@ def obstacle_mesh(obstacle, crash, extent):
     local = (world - [car.position.x, car.position.y, car.position.z]) @ rotation(car.orientation)
     low, high = extent
     local = np.clip(local, low - [0.35, 0.35, 0], high + [0.35, 0.35, 0.9 if not wide else 0.25])
-    return Mesh(local, triangle, CONCRETE if wide else STEEL, gloss=0.15, alpha=0.38 if wide else 1.0)
+    return Mesh(local, triangle, CONCRETE if wide else STEEL, gloss=0.15, alpha=0.28 if wide else 1.0)
 
 
 def draw_car(crash, asset, paint, width):
@@ -176,7 +176,8 @@ def draw_car(crash, asset, paint, width):
     away = 11.5 * np.array([np.cos(bearing + 0.62), np.sin(bearing + 0.62), 0.42])
     height = width * 10 // 16
     front = Camera(center + away, center + [0, 0, -0.1], width, height, field=16.5)
-    above = Camera(center + [-0.01, 0.0, 14.5] + 1.2 * np.array([np.cos(bearing), np.sin(bearing), 0]), center, width, height, field=19)
+    over = 1.2 * np.array([np.cos(bearing), np.sin(bearing), 12])
+    above = Camera(center + over, center, width, height, field=19)
     things = [mesh for mesh in (obstacle_mesh(o, crash, extent) for o in crash.obstacles) if mesh] if crash.contact else []
     body = lambda vertex: Mesh(vertex, triangle, paint, gloss=1.0)  # noqa: E731
     before, dented = Scene([body(rest)]), Scene([body(after)] + things)
@@ -197,7 +198,9 @@ def main():
     if not chosen or any(car not in crashes for car in chosen):
         sys.exit(f"picture: {options.recording} has no such car that was hit; it has: {', '.join(crashes) or 'none'}")
     fine = 2 * (options.width // 3)  # two samples a pixel and axis
-    rows = [(car, *draw_car(crashes[car], assets[crashes[car].asset], PAINT[i % len(PAINT)], fine)) for i, car in enumerate(chosen)]
+    rows = []
+    for i, car in enumerate(chosen):
+        rows.append((car, *draw_car(crashes[car], assets[crashes[car].asset], PAINT[i % len(PAINT)], fine)))
     compose(rows, options.output, options.width // 3)
     print(f"{options.output}: {len(rows)} cars in {time.monotonic() - started:.1f} s")
 

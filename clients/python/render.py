@@ -10,7 +10,7 @@ FAR, GRID = 4.0, 0.02  # m: extent and spacing of the ground's shadows
 
 
 def corner_normals(vertex, triangle, crease=0.75):
-    """Per corner of each triangle: the mean normal of the triangles around its vertex that are less than `crease` (cosine) off."""
+    """Per corner of each triangle: the mean normal of the triangles around its vertex whose own is within `crease` (cosine)."""
     edge = vertex[triangle]
     area = np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0])
     unit = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-12)
@@ -28,8 +28,8 @@ def corner_normals(vertex, triangle, crease=0.75):
 
 
 def rasterise(corner, width, height):
-    """corner: (t, 3, 3) pixel x, pixel y, depth (smaller is nearer). Gives per pixel the depth (inf: nothing), the triangle (-1)
-    and the weights of its first two corners."""
+    """corner: (t, 3, 3) pixel x, pixel y, depth (smaller is nearer). Gives per pixel the depth (inf: nothing), the triangle
+    (-1) and the weights of its first two corners."""
     depth = np.full(width * height, np.inf)
     which = np.full(width * height, -1)
     weight = np.zeros((width * height, 2))
@@ -124,7 +124,8 @@ class Camera:
         """Pixels and 1/z are linear over a triangle on the screen; the third is -1/z + a constant: smaller is nearer."""
         at = (points - self.eye) @ self.axes.T
         z = np.maximum(at[:, 2], 0.05)
-        return np.stack([self.width / 2 + self.focal * at[:, 0] / z, self.height / 2 - self.focal * at[:, 1] / z, 30 - 1 / z], 1)
+        scale = self.focal / z
+        return np.stack([self.width / 2 + scale * at[:, 0], self.height / 2 - scale * at[:, 1], 30 - 1 / z], 1)
 
     def rays(self):
         x, y = np.meshgrid(np.arange(self.width), np.arange(self.height))

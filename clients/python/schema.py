@@ -1,4 +1,4 @@
-"""The messages in Python: makes the package `crumple.schema` from schema/*.fbs with the flatc that stands beside this Python."""
+"""The messages in Python: makes the package `crumple.schema` from schema/*.fbs, with the flatc beside this Python."""
 
 import pathlib
 import subprocess

@@ -15,6 +15,7 @@
 #include "asset/built_in.h"
 #include "asset/order_spatially.h"
 #include "asset/paint_regions.h"
+#include "asset/text_of.h"
 #include "schema/car_generated.h"
 
 namespace crumple {
@@ -22,12 +23,6 @@ namespace {
 
 constexpr std::string_view built_in = "built-in";
 constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
-
-std::string text_of(double value, const char* format) {
-  char text[32];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 // What is cheap to know before the tets are made.
 void check_options(const BakeOptions& options) {
@@ -124,9 +119,7 @@ void report_result(const Parts& parts, std::vector<std::string>& report) {
   const SkinResult& skin = parts.skin;
   report.push_back("skin: " + std::to_string(skin.coincident) + " vertices on a node, " + std::to_string(skin.contained) +
                    " inside a tet, " + std::to_string(skin.nearest) + " on the nearest tet" +
-                   (skin.nearest ? ", at most " + text_of(1000 * skin.farthest, "%.1f") + " mm away, weights up to " +
-                                       text_of(skin.largest_weight, "%.1f")
-                                 : ""));
+                   (skin.nearest ? ", at most " + text_of(1000 * skin.farthest, "%.1f") + " mm away" : ""));
 }
 
 // Tets of another car, in other axes, or of a surface that encloses next to nothing. A few far vertices are an aerial.

@@ -1,5 +1,6 @@
 // From a surface mesh to a baked car: import, tets, constraints, skin, regions, spatial order, one file. Each step is a file of
-// its own beside this one; bake() is their table of contents. The same surface and the same tets give the same bytes.
+// its own beside this one; bake() is their table of contents. The same surface and the same tets give the same bytes; fTetWild
+// gives slightly other tets each time, so a car that must be the same again is kept, or its tets are.
 #pragma once
 
 #include <memory>

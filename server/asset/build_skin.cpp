@@ -12,14 +12,10 @@ namespace crumple {
 namespace {
 
 constexpr double coincident_within = 1e-6;  // m: four steps of a float at 2 m
-// Tets this much farther than the nearest one count as equally near (they share the nearest point): then the one that
-// extrapolates least is taken.
-constexpr double equally_near = 1e-5;  // m
 
 struct Attached {
   Skin skin{};
   double distance = 0;  // m, 0 inside
-  double largest_weight = 1;
   bool coincident = false;
 };
 
@@ -45,34 +41,13 @@ double squared_distance_to_tet(const TetMesh& mesh, uint32_t tet, const Eigen::V
   return squared;
 }
 
-// Of the tets within `distance` of the point the one whose weights are smallest, the lowest index if several are.
-uint32_t least_extrapolating(const TetMesh& mesh, const BoxTree& tree, const Eigen::Vector3d& point, double distance,
-                             uint32_t nearest) {
-  struct Search {
-    const TetMesh& mesh;
-    const Eigen::Vector3d& point;
-    double squared_distance;
-    uint32_t best;
-    double best_weight;
-    bool intersectVolume(const Box& box) const { return box.squaredExteriorDistance(point) <= squared_distance; }
-    bool intersectObject(uint32_t tet) {
-      if (squared_distance_to_tet(mesh, tet, point) > squared_distance) return false;
-      const double weight = barycentric(mesh, tet, point).cwiseAbs().maxCoeff();
-      if (weight < best_weight || (weight == best_weight && tet < best)) best = tet, best_weight = weight;
-      return false;
-    }
-  } search{mesh, point, distance * distance, nearest, barycentric(mesh, nearest, point).cwiseAbs().maxCoeff()};
-  Eigen::BVIntersect(tree, search);
-  return search.best;
-}
-
 Attached attach(const TetMesh& mesh, const BoxTree& tree, const Vec3& vertex) {
   const Eigen::Vector3d point = vertex.cast<double>();
   const auto measure = [&](uint32_t tet) { return squared_distance_to_tet(mesh, tet, point); };
   const Nearest found = find_nearest(tree, point, measure);
   Attached out;
   out.distance = std::sqrt(found.squared_distance);
-  uint32_t tet = found.index;
+  const uint32_t tet = found.index;
   for (uint32_t k = 0; k < 4; ++k) {
     if ((mesh.node[mesh.tet[tet].node[k]].cast<double>() - point).norm() > coincident_within) continue;
     out.coincident = true;
@@ -80,9 +55,9 @@ Attached attach(const TetMesh& mesh, const BoxTree& tree, const Vec3& vertex) {
     for (uint32_t j = 0; j < 4; ++j) out.skin.node[j] = mesh.tet[tet].node[(k + j) % 4];
     return out;
   }
-  if (out.distance > 0) tet = least_extrapolating(mesh, tree, point, out.distance + equally_near, tet);
-  const Eigen::Vector4d weight = barycentric(mesh, tet, point);
-  out.largest_weight = weight.cwiseAbs().maxCoeff();
+  // A vertex outside follows the tet's surface: extrapolating weights would turn a folded tet into shards.
+  Eigen::Vector4d weight = barycentric(mesh, tet, point).cwiseMax(0);
+  weight /= weight.sum();
   for (int k = 0; k < 4; ++k) {
     out.skin.node[k] = mesh.tet[tet].node[k];
     out.skin.weight[k] = static_cast<float>(weight[k]);
@@ -111,7 +86,6 @@ SkinResult build_skin(const TetMesh& mesh, std::span<const Vec3> vertices) {
     ++(one.coincident ? out.coincident : one.distance == 0 ? out.contained : out.nearest);
     out.distance.push_back(one.coincident ? 0 : one.distance);
     out.farthest = std::max(out.farthest, out.distance.back());
-    out.largest_weight = std::max(out.largest_weight, one.largest_weight);
   }
   return out;
 }

@@ -22,7 +22,6 @@ namespace crumple {
 namespace {
 
 constexpr uint32_t current_version = 1;
-constexpr float largest_weight = 1e4f;  // of a vertex on a node: beyond it 1e-7 of a float is over a millimetre
 static_assert(std::endian::native == std::endian::little, "the file is read in place, and it is little endian");
 static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == sizeof(Tet) &&
               sizeof(schema::Edge) == sizeof(Edge) && sizeof(schema::Gradients) == sizeof(Gradients) &&
@@ -104,13 +103,13 @@ bool skin_is_sound(const Model& model) {
   const auto n = static_cast<uint32_t>(model.node.size());
   uint32_t bad = 0;
   for (const Skin& skin : model.skin) {
-    float sum = 0, size = 1;
+    float sum = 0;
     for (int k = 0; k < 4; ++k) {
       bad |= skin.node[k] >= n;
+      bad |= !(skin.weight[k] >= 0);  // also for NaN
       sum += skin.weight[k];
-      size += std::abs(skin.weight[k]);
     }
-    bad |= !(size < largest_weight && std::abs(sum - 1) <= 1e-5f * size);  // also for NaN
+    bad |= !(std::abs(sum - 1) <= 1e-5f);
   }
   return !bad;
 }
@@ -150,7 +149,7 @@ void check(const Model& m, size_t regions, const std::string& name) {
   demand(positive(m.edge_rest), "an edge's rest length is not above zero");
   demand(corners_are_sound(m), "the list of the tets around each node does not agree with the tets");
   demand(below(m.triangle, static_cast<uint32_t>(m.vertex.size())), "a triangle names a vertex that does not exist");
-  demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights do not sum to 1");
+  demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights are negative or do not sum to 1");
   const float inertia[3] = {m.inertia.x(), m.inertia.y(), m.inertia.z()};
   demand(positive({&m.mass, 1}) && positive(inertia) && m.center_of_mass.allFinite(),
          "its mass, inertia or centre of mass is not a sensible number");

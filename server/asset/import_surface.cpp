@@ -10,6 +10,7 @@
 #include <stdexcept>
 
 #include "asset/car.h"
+#include "asset/text_of.h"
 
 namespace crumple {
 namespace {
@@ -19,12 +20,6 @@ constexpr double flat_below = 0.01;                     // shortest side over th
 constexpr size_t most_parts = 1000;                     // a scan's crumbs, not a body: game cars have one to a few hundred
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
-
-std::string meters(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.4g", value);
-  return text;
-}
 
 Eigen::Vector3d axis(const std::string& spelling, const char* flag) {
   const bool negative = spelling.starts_with('-');
@@ -170,11 +165,12 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
     box.extend(turned * positions[i]);
   }
   const double longest = box.sizes().maxCoeff(), shortest = box.sizes().minCoeff();
-  const std::string size = meters(box.sizes().x()) + " x " + meters(box.sizes().y()) + " x " + meters(box.sizes().z()) + " m";
+  const std::string size =
+      text_of(box.sizes().x()) + " x " + text_of(box.sizes().y()) + " x " + text_of(box.sizes().z()) + " m";
   if (longest < shortest_car || longest > longest_car)
-    refuse(name, "it measures " + size + ", and no car's longest side lies outside " + meters(shortest_car) + " to " +
-                     meters(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
-                     meters(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
+    refuse(name, "it measures " + size + ", and no car's longest side lies outside " + text_of(shortest_car) + " to " +
+                     text_of(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
+                     text_of(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");
   return Eigen::Translation3d(-box.center().x(), -box.center().y(), -box.min().z()) * turned;
 }
@@ -234,8 +230,8 @@ ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, con
   Eigen::AlignedBox3f box;
   for (const Vec3& vertex : surface.vertex) box.extend(vertex);
   const Vec3 size = box.sizes();
-  out.report = {"size " + meters(size.x()) + " x " + meters(size.y()) + " x " + meters(size.z()) +
-                    " m (forward x left x up), " + meters(options.scale) + " m in a unit of the file",
+  out.report = {"size " + text_of(size.x()) + " x " + text_of(size.y()) + " x " + text_of(size.z()) +
+                    " m (forward x left x up), " + text_of(options.scale) + " m in a unit of the file",
                 std::to_string(surface.vertex.size()) + " vertices, " + std::to_string(surface.triangle.size()) +
                     " triangles, " + std::to_string(out.parts) + (out.parts == 1 ? " part" : " parts") + ", " +
                     std::to_string(out.open_edges) + " open edges" + (out.open_edges ? "" : ": watertight")};

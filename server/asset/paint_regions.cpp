@@ -12,6 +12,7 @@
 #include "asset/nearest.h"
 #include "asset/regions_schema.h"  // generated: the text of schema/geometry.fbs and schema/regions.fbs
 #include "asset/script.h"
+#include "asset/text_of.h"
 #include "schema/regions_generated.h"
 
 namespace crumple {
@@ -21,12 +22,6 @@ namespace {
 // 0.1-0.3; the shallower ones are for bodies with no room for the first.
 constexpr float free_end = 0.25f;
 constexpr double cell_depths[] = {0.30, 0.25, 0.20, 0.15, 0.10, 0.05, 0.02};
-
-std::string number(double value, const char* format = "%.3g") {
-  char text[32];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 // ---- regions ---------------------------------------------------------------------------------------------------------
 
@@ -186,12 +181,12 @@ void anchor_default_cell(const TetMesh& mesh, const std::string& name, Regions& 
       regions.node_anchored[i] = 1;
       if (regions.node_region[i] == 0) regions.node_region[i] = cell;
     }
-    report.push_back("safety cell: " + std::to_string(count) + " nodes anchored, deeper than " + number(deepest, "%.2f") +
-                     " m under the skin, " + number(100 * free_end, "%.0f") + " % of the length left free at either end" +
+    report.push_back("safety cell: " + std::to_string(count) + " nodes anchored, deeper than " + text_of(deepest, "%.2f") +
+                     " m under the skin, " + text_of(100 * free_end, "%.0f") + " % of the length left free at either end" +
                      (deepest == cell_depths[0] ? "" : " (none lay deeper)"));
     return;
   }
-  throw std::runtime_error(name + ": no node lies deeper than " + number(std::end(cell_depths)[-1]) +
+  throw std::runtime_error(name + ": no node lies deeper than " + text_of(std::end(cell_depths)[-1]) +
                            " m inside the body, so there is no safety cell to hold it; anchor a part with --regions FILE or "
                            "bake with more --nodes.");
 }

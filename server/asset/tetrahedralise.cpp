@@ -9,6 +9,7 @@
 #include "asset/make_tets.h"
 #include "asset/script.h"
 #include "asset/scripts.h"  // generated: the text of the Python scripts
+#include "asset/text_of.h"
 
 namespace crumple {
 namespace {
@@ -27,12 +28,6 @@ struct Run {
   size_t nodes = 0;
   double outside = 0;  // share of the nodes
 };
-
-std::string text_of(double value, const char* format) {
-  char text[32];
-  std::snprintf(text, sizeof text, format, value);
-  return text;
-}
 
 // What the log tells: passes of splitting, collapsing, swapping and smoothing until the worst tet's energy is below 10.
 class LogReader {

@@ -10,7 +10,7 @@ folder, edge_length, epsilon = sys.argv[1], float(sys.argv[2]), float(sys.argv[3
 os.chdir(folder)  # fTetWild leaves two files of its own in the working folder
 vertices = np.fromfile(folder + "/vertices.f64", dtype=np.float64).reshape(-1, 3)
 triangles = np.fromfile(folder + "/triangles.i32", dtype=np.int32).reshape(-1, 3)
-# One thread: with more, the same surface does not give the same tets twice.
+# fTetWild gives slightly other tets in every run, whatever the threads; a second one cost a third more time than one.
 mesher = wildmeshing.Tetrahedralizer(edge_length_r=edge_length, epsilon=epsilon, max_threads=1)
 mesher.set_log_level(2)
 mesher.set_mesh(vertices, triangles)

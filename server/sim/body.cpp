@@ -59,7 +59,8 @@ void measure_reach(const Model& model, Body& body) { body.reach = reach(model, b
 
 std::optional<std::string> refuse_state(const Model& model, const Body& body) {
   const auto size_of = [](const char* name, size_t is, size_t should) {
-    return "the state has " + std::to_string(is) + " " + name + " and the car " + std::to_string(should) + ": it is of another car";
+    return "the state has " + std::to_string(is) + " " + name + " and the car " + std::to_string(should) +
+           ": it is of another car";
   };
   if (body.node.size() != model.node.size()) return size_of("nodes", body.node.size(), model.node.size());
   if (body.gradients.size() != model.tet.size()) return size_of("tets", body.gradients.size(), model.tet.size());
@@ -89,8 +90,9 @@ uint64_t hash(const Body& body) {
   sum = chain(body.hardening, sum);
   sum = chain(body.edge_rest, sum);
   sum = chain(body.tet_rest, sum);
-  const double numbers[] = {body.absorbed, body.stored, double(body.reach), double(body.touching), double(body.settled),
-                            body.force.x(), body.force.y(), body.force.z(), body.moment.x(), body.moment.y(), body.moment.z()};
+  const double numbers[] = {body.absorbed,        body.stored,     double(body.reach), double(body.touching),
+                            double(body.settled), body.force.x(),  body.force.y(),     body.force.z(),
+                            body.moment.x(),      body.moment.y(), body.moment.z()};
   return XXH64(numbers, sizeof numbers, sum);
 }
 

@@ -23,8 +23,8 @@ struct Body {
   // Of the contacts on the car at the end of the last sub-step, N and N m about the centre of mass, world axes.
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
-  bool touching = false;             // some node was held by an obstacle in the last sub-step
-  bool settled = true;               // nothing moved in the last sub-step: costs nothing until touched
+  bool touching = false;  // some node was held by an obstacle in the last sub-step
+  bool settled = true;    // nothing moved in the last sub-step: costs nothing until touched
 };
 
 // An undamaged car.

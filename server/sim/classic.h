@@ -1,9 +1,9 @@
 // The solver `classic`: the scheme of Ille 2020 as it is stated. Constraints on unique edges (3.6.1) and tet volumes (3.6.2),
 // corrections scaled by a stiffness (3.6.3), Gauss-Seidel over all edges, then all volumes, iterated (algorithms 1 and 9);
-// obstacles project nodes once per tick before that (algorithm 8). Plasticity (3.8): a rest value moves to rest p + (1 - p) now;
-// the thesis leaves open when: here once a tick, as the first iteration meets the constraint.
-// The volume correction is kept as printed, d (V - V0) / sum |d|^2 with d = 6 grad V: a sixth of the step that would meet the
-// constraint. The thesis has no force feedback: `classic` gives no reaction and its path is law.
+// obstacles project nodes once per tick before that (algorithm 8). Plasticity (3.8): a rest value moves to rest p + (1 - p)
+// now; the thesis leaves open when: here once a tick, as the first iteration meets the constraint. The volume correction is
+// kept as printed, d (V - V0) / sum |d|^2 with d = 6 grad V: a sixth of the step that would meet the constraint. The thesis has
+// no force feedback: `classic` gives no reaction and its path is law.
 #pragma once
 
 #include <span>

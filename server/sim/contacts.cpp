@@ -47,8 +47,14 @@ bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, std::s
     for (uint32_t node : near.node) {
       const Vec3 local = first.rotation * body.node[node] + first.translation;
       const Plane plane = separating_plane(obstacle, local);
-      Contact contact{node, near.obstacle, back * plane.normal, plane.offset - plane.normal.dot(last.translation), 0, 0,
-                      back * (local - last.translation), obstacle.friction};
+      Contact contact{node,
+                      near.obstacle,
+                      back * plane.normal,
+                      plane.offset - plane.normal.dot(last.translation),
+                      0,
+                      0,
+                      back * (local - last.translation),
+                      obstacle.friction};
       contact.before = plane.normal.dot(local) - plane.offset;
       contact.after = contact.normal.dot(body.node[node]) - contact.offset;
       if (contact.after > contact_margin) continue;
@@ -56,9 +62,8 @@ bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, std::s
       out.push_back(contact);
     }
   }
-  std::stable_sort(out.begin(), out.end(), [](const Contact& a, const Contact& b) {
-    return a.node != b.node ? a.node < b.node : a.after < b.after;
-  });
+  std::stable_sort(out.begin(), out.end(),
+                   [](const Contact& a, const Contact& b) { return a.node != b.node ? a.node < b.node : a.after < b.after; });
   // Keep the deepest of each node.
   bool all = true;
   size_t kept = 0, run = 0;

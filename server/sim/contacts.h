@@ -28,11 +28,11 @@ Relative relative(const Pose& car, const Pose& obstacle);
 struct Contact {
   uint32_t node;
   uint32_t obstacle;
-  Vec3 normal;     // unit, car's frame at the end of the sub-step
-  float offset;    // the node must keep normal . x >= offset
-  float before;    // signed distance at the start of the sub-step, m
-  float after;     // at its end, if the node stood still in the car's frame, m
-  Vec3 carried;    // where the node would be if it stuck to the obstacle
+  Vec3 normal;   // unit, car's frame at the end of the sub-step
+  float offset;  // the node must keep normal . x >= offset
+  float before;  // signed distance at the start of the sub-step, m
+  float after;   // at its end, if the node stood still in the car's frame, m
+  Vec3 carried;  // where the node would be if it stuck to the obstacle
   float friction;
 };
 

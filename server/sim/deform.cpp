@@ -93,8 +93,8 @@ double stored_energy(const Model& model, const Parameters& parameters, const Scr
   return sum;
 }
 
-// The forces of all contacts as one impulse on the rigid motion, and the work that friction took. The impulse is the mean of the
-// forces at both ends of the sub-step: with those at its end alone a crash loses 2 % of its energy to the rectangle rule.
+// The forces of all contacts as one impulse on the rigid motion, and the work that friction took. The impulse is the mean of
+// the forces at both ends of the sub-step: with those at its end alone a crash loses 2 % of its energy to the rectangle rule.
 void react(const Mass& mass, double h, const Scratch& scratch, Body& body, Motion& motion, Response& response) {
   Eigen::Vector3d force = Eigen::Vector3d::Zero(), moment = Eigen::Vector3d::Zero();
   uint32_t touching = 0;

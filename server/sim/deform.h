@@ -20,11 +20,11 @@ inline constexpr double substep_seconds = 1.0 / 960;
 struct Response {
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();          // N s
   Eigen::Vector3d angular_impulse = Eigen::Vector3d::Zero();  // N m s
-  float deepest = 0;           // the farthest that an obstacle pushed a node, m
-  uint32_t contacts = 0;       // nodes held at the end
-  uint32_t substeps = 0;       // solved; 0: nothing was near and the body was settled
+  float deepest = 0;                                          // the farthest that an obstacle pushed a node, m
+  uint32_t contacts = 0;                                      // nodes held at the end
+  uint32_t substeps = 0;                                      // solved; 0: nothing was near and the body was settled
   bool contact_overflow = false;  // a node met more than contacts_per_node obstacles: the deepest were kept
-  bool recovered = false;      // the tick ended non-finite and was undone: the body stands as before it
+  bool recovered = false;         // the tick ended non-finite and was undone: the body stands as before it
 };
 
 // Seconds spent in each room, for health; measured by the caller's clock, so that this room knows none.
@@ -44,8 +44,8 @@ using ScratchHandle = std::unique_ptr<Scratch, ScratchDeleter>;
 ScratchHandle make_scratch();
 
 // Advances body and motion by `seconds`. The obstacles stand at their poses at the start of the tick and move steadily.
-Response deform(const Model&, const Parameters&, const Mass&, std::span<const Obstacle>, double seconds, Scratch&, Body&, Motion&,
-                Timer* = nullptr);
+Response deform(const Model&, const Parameters&, const Mass&, std::span<const Obstacle>, double seconds, Scratch&, Body&,
+                Motion&, Timer* = nullptr);
 
 // Surface vertices in the car's frame. vertex: as many as the model's.
 void skin(const Model&, const Body&, std::span<Vec3> vertex);

@@ -25,9 +25,9 @@ double log_of(double x) {
 double exp_of(double x) {
   const double k = std::nearbyint(x * 1.4426950408889634);
   const double r = x - k * 0.69314718055994531;
-  constexpr double inverse_factorial[] = {1.0,           1.0,            1.0 / 2,         1.0 / 6,         1.0 / 24,
-                                          1.0 / 120,     1.0 / 720,      1.0 / 5040,      1.0 / 40320,     1.0 / 362880,
-                                          1.0 / 3628800, 1.0 / 39916800, 1.0 / 479001600, 1.0 / 6227020800};
+  constexpr double inverse_factorial[] = {
+      1.0,        1.0,         1.0 / 2,      1.0 / 6,       1.0 / 24,       1.0 / 120,       1.0 / 720,
+      1.0 / 5040, 1.0 / 40320, 1.0 / 362880, 1.0 / 3628800, 1.0 / 39916800, 1.0 / 479001600, 1.0 / 6227020800};
   double sum = 0;
   for (int n = 13; n >= 0; --n) sum = sum * r + inverse_factorial[n];
   return std::ldexp(sum, int(k));
@@ -45,8 +45,8 @@ Elastic elastic(const Material& material) {
 YieldLaw yield_law(const Material& material) {
   const Elastic e = elastic(material);
   const float lambda = e.l - e.mu;
-  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield,
-          material.young_modulus * material.hardening, material.plastic_limit};
+  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield, material.young_modulus * material.hardening,
+          material.plastic_limit};
 }
 
 float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float kappa) {
@@ -104,7 +104,8 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
   const Eigen::Vector3d trial = axes.eigenvalues().cwiseMax(1e-6).unaryExpr([](double x) { return 0.5 * log_of(x); });
   // Backward Euler for the logarithmic law is known in closed form up to one number: deviator s, mean 1 / (1 + (bulk / shear)
   // (1/s - 1)) of the trial's. At the large strain of a trial the neo-Hookean stress differs from that law's, so s is where the
-  // former meets the yield surface, or where kappa meets its limit: by false position (Illinois), as the excess only falls with s.
+  // former meets the yield surface, or where kappa meets its limit: by false position (Illinois), as the excess only falls with
+  // s.
   const double mean = trial.mean(), room = std::max(0.0, double(law.limit) - kappa);
   const Eigen::Vector3d deviator = trial.array() - mean;
   Eigen::Vector3d strain = trial;

@@ -29,7 +29,8 @@ YieldLaw yield_law(const Material&);
 inline Mat3 deformation(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d, const Gradients& gradients) {
   const Vec3 ab = b - a, ac = c - a, ad = d - a;
   Mat3 f;
-  for (int k = 0; k < 3; ++k) f.col(k) = ab * gradients.corner[0][k] + ac * gradients.corner[1][k] + ad * gradients.corner[2][k];
+  for (int k = 0; k < 3; ++k)
+    f.col(k) = ab * gradients.corner[0][k] + ac * gradients.corner[1][k] + ad * gradients.corner[2][k];
   return f;
 }
 

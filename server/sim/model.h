@@ -21,7 +21,7 @@ struct Edge {
 struct Gradients {
   Vec3 corner[3];
 };
-// vertex = sum weight[i] * node[i]; the weights sum to 1.
+// vertex = its rest + sum weight[i] (node[i] - its rest); the weights are in [0, 1] and sum to 1.
 struct Skin {
   uint32_t node[4];
   float weight[4];

@@ -4,7 +4,8 @@ namespace crumple {
 
 Pose advance(const Motion& motion, const Mass& mass, double seconds) {
   const Eigen::Vector3d center = motion.pose.orientation * mass.center;
-  Pose pose = advance({motion.pose.position + center, motion.pose.orientation}, motion.velocity, motion.angular_velocity, seconds);
+  Pose pose =
+      advance({motion.pose.position + center, motion.pose.orientation}, motion.velocity, motion.angular_velocity, seconds);
   pose.position -= pose.orientation * mass.center;
   return pose;
 }

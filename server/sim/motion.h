@@ -12,9 +12,9 @@ struct Motion {
 };
 
 struct Mass {
-  double mass = 1500;                                               // kg; infinite: the path is law
-  Eigen::Vector3d inertia = Eigen::Vector3d(600, 2400, 2600);       // principal, along the car's axes, kg m^2
-  Eigen::Vector3d center = Eigen::Vector3d::Zero();                 // of mass, in the car's frame, m
+  double mass = 1500;                                          // kg; infinite: the path is law
+  Eigen::Vector3d inertia = Eigen::Vector3d(600, 2400, 2600);  // principal, along the car's axes, kg m^2
+  Eigen::Vector3d center = Eigen::Vector3d::Zero();            // of mass, in the car's frame, m
   bool planar = true;  // on its wheels: impulses change the velocity in x and y and the yaw rate only
 };
 

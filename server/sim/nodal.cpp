@@ -278,7 +278,8 @@ void stiffen_anchors(const Model& model, const Parameters& parameters, float mos
     for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
       const uint32_t tet = model.corner[k] / 4;
       const float squared = corner_gradient(model.gradients[tet], model.corner[k] % 4).squaredNorm();
-      scratch.anchor[node] += anchor_ratio * parameters.region[model.tet_region[tet]].young_modulus * model.tet_rest[tet] * squared;
+      scratch.anchor[node] +=
+          anchor_ratio * parameters.region[model.tet_region[tet]].young_modulus * model.tet_rest[tet] * squared;
     }
     sum += scratch.anchor[node];
   }
@@ -291,7 +292,8 @@ void stiffen_anchors(const Model& model, const Parameters& parameters, float mos
 
 }  // namespace
 
-void solve_nodal(const Model& model, const Parameters& parameters, double mass, float h, float share, Scratch& scratch, Body& body) {
+void solve_nodal(const Model& model, const Parameters& parameters, double mass, float h, float share, Scratch& scratch,
+                 Body& body) {
   const uint32_t count = uint32_t(body.node.size());
   for (uint32_t node = 0; node < count; ++node) {
     const Material& material = parameters.region[model.node_region[node]];

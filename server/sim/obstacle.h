@@ -33,8 +33,8 @@ struct Obstacle {
   float radius = 0;
   // Bounding sphere about the local origin, m; infinite for a half-space.
   float reach = 0;
-  float friction = 0.3f;  // Coulomb
-  Pose pose;              // at the start of the tick
+  float friction = 0.3f;                                       // Coulomb
+  Pose pose;                                                   // at the start of the tick
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();          // of pose.position, m/s, world
   Eigen::Vector3d angular_velocity = Eigen::Vector3d::Zero();  // rad/s, world
 };

@@ -5,8 +5,9 @@ namespace crumple {
 void skin(const Model& model, const Body& body, std::span<Vec3> vertex) {
   for (size_t v = 0; v < vertex.size(); ++v) {
     const Skin& s = model.skin[v];
-    vertex[v] = s.weight[0] * body.node[s.node[0]] + s.weight[1] * body.node[s.node[1]] + s.weight[2] * body.node[s.node[2]] +
-                s.weight[3] * body.node[s.node[3]];
+    Vec3 displacement = Vec3::Zero();
+    for (int k = 0; k < 4; ++k) displacement += s.weight[k] * (body.node[s.node[k]] - model.node[s.node[k]]);
+    vertex[v] = model.vertex[v] + displacement;
   }
 }
 

@@ -30,8 +30,8 @@ typedef struct Net Net;
 
 // mode "peer" with `listen`, or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
 // config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16
-// batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns its port by net_endpoint.
-// Waits up to timeout_ms for a client's first connection.
+// batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns
+// its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
 int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
 // The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or "" if none.
 const char* net_endpoint(const Net*);

@@ -1,0 +1,15 @@
+// A number as a report or a refusal shows it.
+#pragma once
+
+#include <cstdio>
+#include <string>
+
+namespace crumple {
+
+inline std::string text_of(double value, const char* format = "%.4g") {
+  char text[32];
+  std::snprintf(text, sizeof text, format, value);
+  return text;
+}
+
+}  // namespace crumple

@@ -1,0 +1,45 @@
+// What tests of refusals share: the sentence that a function throws, and files to refuse.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <stdexcept>
+#include <string>
+
+#include "asset/script.h"
+
+namespace crumple {
+
+// What a function refuses with; empty when it does not.
+template <class Function>
+std::string refusal(Function function) {
+  try {
+    function();
+  } catch (const std::runtime_error& error) {
+    return error.what();
+  }
+  return "";
+}
+
+inline bool contains(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
+
+// Names the file, and is one line that ends as a sentence does.
+inline void expect_sentence(const std::string& text, const std::string& file, const std::string& fact) {
+  EXPECT_TRUE(contains(text, file)) << text;
+  EXPECT_TRUE(contains(text, fact)) << text;
+  EXPECT_FALSE(contains(text, "\n")) << text;
+  EXPECT_TRUE(text.ends_with(".")) << text;
+}
+
+struct Files {
+  TemporaryFolder folder;
+  std::filesystem::path write(const std::string& name, const std::string& text) const {
+    const auto path = folder.path / name;
+    std::ofstream(path, std::ios::binary) << text;
+    return path;
+  }
+};
+
+}  // namespace crumple
