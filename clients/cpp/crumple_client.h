@@ -63,9 +63,9 @@ typedef struct CrumplePose {
 
 typedef struct CrumpleSpawn {
   CrumplePose pose;
-  float mass;               // kg; 0: mass, inertia and centre of mass of the baked car
-  float inertia[3];         // kg m^2 about the centre of mass, along the car's axes
-  float center_of_mass[3];  // m
+  float mass;        // kg; 0: the baked car's
+  float inertia[3];  // kg m^2 about the centre of mass, along the car's axes; all 0: the baked car's, in proportion to mass
+  float center_of_mass[3];  // m; all 0: the baked car's
   int planar;               // 1: on its wheels, contacts slow it in x, y and yaw only
 } CrumpleSpawn;
 
@@ -173,7 +173,6 @@ typedef struct CrumpleMesh {
   const uint32_t* triangle;  // 3 each
   float mass;                // kg
   float center_of_mass[3];   // m
-  float inertia[3];          // kg m^2 about it, along the car's axes
   const char* name;
   const char* attribution;  // must be shown where the car is shown
 } CrumpleMesh;

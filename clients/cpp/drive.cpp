@@ -185,13 +185,6 @@ Vector3d begin(Run& run) {
     need(crumple_poll(session, 100'000));
   }
   run.mass = run.scene.mass > 0 ? run.scene.mass : mesh.mass;
-  if (run.scene.mass > 0) {  // another mass, the same shape
-    const double share = run.scene.mass / mesh.mass;
-    for (int axis = 0; axis < 3; ++axis) {
-      spawn.inertia[axis] = static_cast<float>(share * mesh.inertia[axis]);
-      spawn.center_of_mass[axis] = mesh.center_of_mass[axis];
-    }
-  }
   uint64_t ticket = 0;
   CrumpleAnswer answer;
   need(crumple_spawn(session, id, asset.c_str(), &spawn, &ticket));

@@ -72,8 +72,10 @@ int crumple_spawn(Crumple* session, const char* car, const char* asset, const Cr
   flatbuffers::FlatBufferBuilder builder;
   const schema::Pose pose = pose_of(spawn->pose);
   const schema::Vec3 inertia = vector_of(spawn->inertia), center = vector_of(spawn->center_of_mass);
-  const auto body = schema::CreateSpawnDirect(builder, asset, session->host.c_str(), &pose, spawn->mass, &inertia, &center,
-                                              spawn->planar != 0);
+  const auto given = [](const float(&v)[3]) { return v[0] != 0 || v[1] != 0 || v[2] != 0; };
+  const auto body = schema::CreateSpawnDirect(builder, asset, session->host.c_str(), &pose, spawn->mass,
+                                              given(spawn->inertia) ? &inertia : nullptr,
+                                              given(spawn->center_of_mass) ? &center : nullptr, spawn->planar != 0);
   return order(*session, car, schema::Order::Spawn, body.Union(), builder, ticket);
 }
 

@@ -187,7 +187,6 @@ std::string read_mesh(const std::string& hash, Asset& asset) {
   asset.mesh.triangle = triangle.data();
   asset.mesh.mass = car.mass();
   if (car.center_of_mass()) copy(*car.center_of_mass(), asset.mesh.center_of_mass);
-  if (car.inertia()) copy(*car.inertia(), asset.mesh.inertia);
   asset.mesh.name = car.name()->c_str();
   asset.mesh.attribution = car.attribution()->c_str();
   return {};
