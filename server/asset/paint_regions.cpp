@@ -20,8 +20,8 @@ namespace {
 
 // Shares of the length left free at either end, and depths under the skin, m: frontal crush was the same within 0.15-0.25 and
 // 0.1-0.3; the shallower ones are for bodies with no room for the first.
-constexpr float free_end = 0.25f;
-constexpr double cell_depths[] = {0.30, 0.25, 0.20, 0.15, 0.10, 0.05, 0.02};
+constexpr float free_end = 0.18f;
+constexpr double cell_depths[] = {0.20, 0.15, 0.10, 0.05, 0.02};
 
 // ---- regions ---------------------------------------------------------------------------------------------------------
 
