@@ -194,6 +194,8 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
       .inertia = {file.inertia()->x(), file.inertia()->y(), file.inertia()->z()},
   };
   check(car->model, car->regions.size(), name);
+  car->blocks = make_blocks(car->model);
+  car->model.blocks = &car->blocks;
 
   char hash[17];
   std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));

@@ -20,6 +20,7 @@ inline constexpr uint32_t max_regions = 16;
 
 struct Car {
   Model model;
+  Blocks blocks;
   std::string name;
   std::string attribution;
   std::vector<std::string> regions;

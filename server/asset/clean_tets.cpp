@@ -1,5 +1,9 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdio>
+#include <map>
+#include <numeric>
 #include <stdexcept>
 
 #include "asset/build_constraints.h"
@@ -11,6 +15,7 @@
 namespace crumple {
 namespace {
 
+constexpr double smallest_part = 0.02;     // of the whole volume: what may stand by itself, held by no face of another part
 constexpr double smallest_volume = 1e-12;  // m^3, a tenth of a millimetre cubed: nothing a solver could divide by
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
@@ -31,6 +36,60 @@ size_t drop_unused(TetMesh& mesh) {
   for (Tet& tet : mesh.tet)
     for (uint32_t& node : tet.node) node = place[node];
   return dropped;
+}
+
+// Tets that hang together by faces; parts[i] is the part of tet i, the first tet of which has that index.
+std::vector<uint32_t> parts_of(const TetMesh& mesh) {
+  std::vector<uint32_t> above(mesh.tet.size());
+  std::iota(above.begin(), above.end(), 0u);
+  const auto root = [&](uint32_t i) {
+    while (above[i] != i) i = above[i] = above[above[i]];
+    return i;
+  };
+  std::vector<std::array<uint32_t, 4>> faces;  // three nodes in order, and the tet
+  for (uint32_t t = 0; t < mesh.tet.size(); ++t) {
+    for (int out = 0; out < 4; ++out) {
+      std::array<uint32_t, 4> face{};
+      for (int k = 0, at = 0; k < 4; ++k)
+        if (k != out) face[at++] = mesh.tet[t].node[k];
+      std::sort(face.begin(), face.begin() + 3);
+      face[3] = t;
+      faces.push_back(face);
+    }
+  }
+  std::sort(faces.begin(), faces.end());
+  for (size_t i = 1; i < faces.size(); ++i) {
+    if (!std::equal(faces[i].begin(), faces[i].begin() + 3, faces[i - 1].begin())) continue;
+    const uint32_t a = root(faces[i - 1][3]), b = root(faces[i][3]);
+    above[std::max(a, b)] = std::min(a, b);
+  }
+  for (uint32_t t = 0; t < above.size(); ++t) above[t] = root(t);
+  return above;
+}
+
+// A part that shares a node or an edge with the rest, but no face, is a free joint: it flaps without any resistance.
+void drop_small_parts(TetMesh& mesh, std::vector<std::string>& report) {
+  const std::vector<uint32_t> part = parts_of(mesh);
+  std::map<uint32_t, double> volume;
+  double all = 0;
+  for (size_t t = 0; t < mesh.tet.size(); ++t) {
+    const uint32_t* n = mesh.tet[t].node;
+    const double own = tet_volume(mesh.node[n[0]], mesh.node[n[1]], mesh.node[n[2]], mesh.node[n[3]]);
+    volume[part[t]] += own;
+    all += own;
+  }
+  std::erase_if(volume, [&](const auto& each) { return each.second >= smallest_part * all; });
+  if (volume.empty()) return;
+  double lost = 0;
+  for (const auto& [first, own] : volume) lost += own;
+  std::vector<Tet> kept;
+  for (size_t t = 0; t < mesh.tet.size(); ++t)
+    if (!volume.contains(part[t])) kept.push_back(mesh.tet[t]);
+  char share[16];
+  std::snprintf(share, sizeof share, "%.2g", 100 * lost / all);
+  report.push_back(std::to_string(volume.size()) + " parts of the tets dropped (" + share +
+                   " % of the volume) that no face joins to the rest; the surface there rides on the nearest tet");
+  mesh.tet = std::move(kept);
 }
 
 }  // namespace
@@ -60,7 +119,10 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
     mesh.tet.push_back(tet);
   }
   if (mesh.tet.empty()) refuse(name, "none of its " + std::to_string(t) + " tets has a volume; make the tets again.");
-  const size_t flat = t - mesh.tet.size(), unused = drop_unused(mesh);
+  const size_t flat = t - mesh.tet.size();
+  drop_small_parts(mesh, report);
+  if (mesh.tet.empty()) refuse(name, "its tets are loose bits, none with 2 % of the volume; make one connected mesh.");
+  const size_t unused = drop_unused(mesh);
   if (mesh.node.size() > max_nodes || mesh.tet.size() > max_tets)
     refuse(name, std::to_string(mesh.node.size()) + " nodes and " + std::to_string(mesh.tet.size()) +
                      " tets are more than the " + std::to_string(max_nodes) + " and " + std::to_string(max_tets) +

@@ -51,6 +51,7 @@ void repair(const Model& model, float amount, Body& body) {
   }
   for (size_t e = 0; e < body.edge_rest.size(); ++e) towards(body.edge_rest[e], model.edge_rest[e]);
   for (Vec3& step : body.step) step.setZero();
+  body.history = {};
   body.reach = reach(model, body.node);
   body.settled = false;
 }
@@ -90,9 +91,21 @@ uint64_t hash(const Body& body) {
   sum = chain(body.hardening, sum);
   sum = chain(body.edge_rest, sum);
   sum = chain(body.tet_rest, sum);
-  const double numbers[] = {body.absorbed,        body.stored,     double(body.reach), double(body.touching),
-                            double(body.settled), body.force.x(),  body.force.y(),     body.force.z(),
-                            body.moment.x(),      body.moment.y(), body.moment.z()};
+  // The changes themselves are known by their products.
+  sum = XXH64(body.history.products.data(), sizeof body.history.products, sum);
+  const double numbers[] = {body.absorbed,
+                            body.stored,
+                            double(body.reach),
+                            double(body.touching),
+                            double(body.settled),
+                            double(body.history.count),
+                            double(body.history.next),
+                            body.force.x(),
+                            body.force.y(),
+                            body.force.z(),
+                            body.moment.x(),
+                            body.moment.y(),
+                            body.moment.z()};
   return XXH64(numbers, sizeof numbers, sum);
 }
 

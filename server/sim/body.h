@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "sim/material.h"
+#include "sim/mixing.h"
 #include "sim/model.h"
 #include "sim/motion.h"
 
@@ -17,6 +18,7 @@ struct Body {
   std::vector<float> hardening;      // per tet: accumulated plastic strain
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
   std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
+  History history;                   // of the solver's last steps; empty when settled
   double absorbed = 0;               // J since spawn: plastic work, drag, friction
   double stored = 0;                 // J: elastic, now
   float reach = 0;                   // of the farthest node from the centre of mass, m

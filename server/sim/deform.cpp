@@ -29,19 +29,6 @@ void index_contacts(Scratch& scratch) {
   scratch.held.assign(scratch.contacts.size(), Held{});
 }
 
-void prepare(const Model& model, Scratch& scratch) {
-  scratch.contact_first.assign(model.node.size(), 0);
-  scratch.before.resize(model.node.size());
-  scratch.pair_start.resize(model.node.size());
-  scratch.direction.resize(model.node.size());
-  scratch.deformation.resize(model.tet.size());
-  scratch.stiffness.resize(model.tet.size());
-  scratch.drag.resize(model.node.size());
-  scratch.anchor.assign(model.node.size(), 0.0f);
-  scratch.volume = 0;
-  for (float volume : model.tet_rest) scratch.volume += volume;
-}
-
 // Share of the sub-step that is left when the first contact closes; all of it if none does.
 float after_touch(std::span<const Contact> contacts) {
   float earliest = 1;
@@ -51,30 +38,32 @@ float after_touch(std::span<const Contact> contacts) {
   return earliest < 1 ? std::max(shortest_substep, 1 - earliest) : 1;
 }
 
+// A settled body wakes when an obstacle enters it, and when the one that it rests against moves or leaves.
 bool woken(const Body& body, std::span<const Contact> contacts) {
   if (!body.settled) return true;
-  return std::any_of(contacts.begin(), contacts.end(), [](const Contact& c) { return c.after < -wake_depth; });
+  if (body.touching && contacts.empty()) return true;
+  return std::any_of(contacts.begin(), contacts.end(), [&](const Contact& c) {
+    return body.touching ? std::fabs(c.after - c.before) > wake_depth : c.after < -wake_depth;
+  });
 }
 
-// Plastic flow of every tet, and the drag that its nodes took: J.
-double dissipate(const Model& model, const Parameters& parameters, Scratch& scratch, Body& body) {
-  Elastic moduli[region_limit];
-  YieldLaw laws[region_limit];
-  for (int r = 0; r < region_limit; ++r) {
-    moduli[r] = elastic(parameters.region[r]);
-    laws[r] = yield_law(parameters.region[r]);
-  }
-  double work = 0;
-  for (size_t t = 0; t < model.tet.size(); ++t) {
-    const uint32_t* n = model.tet[t].node;
-    const int region = model.tet_region[t];
-    const Mat3 f = deformation(body.node[n[0]], body.node[n[1]], body.node[n[2]], body.node[n[3]], body.gradients[t]);
-    work += double(model.tet_rest[t]) * flow(moduli[region], laws[region], f, body.gradients[t], body.hardening[t]);
-  }
+// A body that holds numbers that are not finite has lost its shape there: those nodes and tets are as baked again.
+void heal(const Model& model, Body& body) {
   for (size_t i = 0; i < body.node.size(); ++i) {
-    work += double(scratch.drag[i]) * (body.node[i] - scratch.before[i]).squaredNorm();
+    if (body.node[i].allFinite() && body.step[i].allFinite()) continue;
+    body.node[i] = model.node[i];
+    body.step[i].setZero();
   }
-  return work;
+  for (size_t t = 0; t < body.gradients.size(); ++t) {
+    bool sound = std::isfinite(body.hardening[t]);
+    for (const Vec3& corner : body.gradients[t].corner) sound = sound && corner.allFinite();
+    if (sound) continue;
+    body.gradients[t] = model.gradients[t];
+    body.hardening[t] = 0;
+  }
+  if (!std::isfinite(body.absorbed)) body.absorbed = 0;
+  if (!std::isfinite(body.stored)) body.stored = 0;
+  if (!body.force.allFinite() || !body.moment.allFinite()) body.force.setZero(), body.moment.setZero();
 }
 
 // Elastic energy of the tets and of the springs that hold the cell, J.
@@ -88,7 +77,7 @@ double stored_energy(const Model& model, const Parameters& parameters, const Scr
     sum += double(model.tet_rest[t]) * energy_density(moduli[model.tet_region[t]], f);
   }
   for (size_t i = 0; i < body.node.size(); ++i) {
-    if (scratch.anchor[i] > 0) sum += 0.5 * double(scratch.anchor[i]) * (body.node[i] - model.node[i]).squaredNorm();
+    if (scratch.rest[i].w > 0) sum += 0.5 * double(scratch.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm();
   }
   return sum;
 }
@@ -141,13 +130,44 @@ void hold_anchors(const Model& model, const Scratch& scratch, Body& body) {
   }
 }
 
-void settle(float h, const Scratch& scratch, Body& body) {
+void settle(float h, std::span<const Vec3> before, Body& body) {
   float most = 0;
   for (size_t i = 0; i < body.node.size(); ++i) {
-    body.step[i] = body.node[i] - scratch.before[i];
+    body.step[i] = body.node[i] - before[i];
     most = std::max(most, body.step[i].squaredNorm());
   }
   body.settled = most <= settle_speed * settle_speed * h * h;
+}
+
+// How many the tick needs; see substep_seconds.
+int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obstacle> obstacles, double seconds,
+             const Scratch& scratch, const Body& body, const Motion& motion) {
+  double closing = 0;
+  for (const Candidates& near : scratch.candidates) {
+    const Obstacle& obstacle = obstacles[near.obstacle];
+    const double turning = motion.angular_velocity.norm() + obstacle.angular_velocity.norm();
+    closing = std::max(closing, (motion.velocity - obstacle.velocity).norm() + double(body.reach) * turning);
+  }
+  // A block of the car's size, squeezed: its stiffness is about one and a half times E times its length from the middle.
+  double modulus = 0;
+  for (const Material& material : parameters.region) modulus = std::max(modulus, double(material.young_modulus));
+  const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / mass.mass);
+  const int count = std::max(1, int(std::lround(seconds / substep_seconds)));
+  int times = 1;
+  for (int k = 0; k < halvings; ++k) {
+    const double h = seconds / (count * times);
+    if (closing * h > substep_travel || frequency * h > substep_turn) times *= 2;
+  }
+  return count * times;
+}
+
+// Before a tick changes the body for the first time.
+void keep(const Model& model, Scratch& scratch, Body& body) {
+  scratch.prepared = true;
+  scratch.contact_first.assign(model.node.size(), 0);
+  History history = std::move(body.history);  // nothing to go back to if the tick fails
+  scratch.backup = body;
+  body.history = std::move(history);
 }
 
 struct Substep {
@@ -167,22 +187,28 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
   }
   motion.pose = to;
   if (!woken(body, scratch.contacts)) {
-    body.force.setZero();
-    body.moment.setZero();
+    if (!body.touching) {  // else the obstacle presses on a body that has come to rest under it
+      body.force.setZero();
+      body.moment.setZero();
+    }
     return now.last;
+  }
+  if (!scratch.prepared) {
+    keep(model, scratch, body);
+    prepare_nodal(model, parameters, body, scratch);
   }
   const float h = float(now.seconds) * (body.touching ? 1 : after_touch(scratch.contacts));
   {
     const RoomTimer room(timer, Room::solve);
     index_contacts(scratch);
     hold_anchors(model, scratch, body);
-    std::copy(body.node.begin(), body.node.end(), scratch.before.begin());
+    scratch.start = body.node;
     solve_nodal(model, parameters, mass.mass, h, h / now.last, scratch, body);
   }
-  settle(h, scratch, body);
+  settle(h, scratch.start, body);
   {
     const RoomTimer room(timer, Room::flow);
-    body.absorbed += dissipate(model, parameters, scratch, body);
+    body.absorbed += flow_nodal(model, scratch, body);
   }
   react(mass, double(h), scratch, body, motion, response);
   // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
@@ -201,10 +227,11 @@ void tick_classic(const Model& model, const Parameters& parameters, const Mass& 
   }
   motion.pose = to;
   if (!woken(body, scratch.contacts)) return;
+  keep(model, scratch, body);
   const RoomTimer room(timer, Room::solve);
-  std::copy(body.node.begin(), body.node.end(), scratch.before.begin());
+  scratch.start = body.node;
   solve_classic(model, parameters, scratch.contacts, body);
-  settle(float(seconds), scratch, body);
+  settle(float(seconds), scratch.start, body);
   for (const Contact& contact : scratch.contacts) {
     response.contacts += contact.after < 0;
     response.deepest = std::max(response.deepest, -contact.after);
@@ -232,27 +259,25 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
     const RoomTimer room(timer, Room::contacts);
     find_candidates(model, body, motion, mass, obstacles, seconds, scratch.candidates);
   }
-  if (scratch.candidates.empty() && body.settled) {
-    body.touching = false;
+  if (scratch.candidates.empty() && body.settled && !body.touching) {
     motion.pose = advance(motion, mass, seconds);
     return response;
   }
-  prepare(model, scratch);
-  scratch.backup = body;
-
+  scratch.prepared = false;
   if (parameters.solver == Solver::classic) {
     tick_classic(model, parameters, mass, obstacles, seconds, scratch, body, motion, response, timer);
   } else {
-    const int count = std::max(1, int(std::lround(seconds / substep_seconds)));
+    const int count = substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
     const double h = seconds / count;
     float last = float(h);
     for (int k = 0; k < count; ++k) {
       last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, timer);
     }
-    body.stored = stored_energy(model, parameters, scratch, body);
+    if (response.substeps > 0) body.stored = stored_energy(model, parameters, scratch, body);
   }
-  if (!finite(body, motion)) {
+  if (scratch.prepared && !finite(body, motion)) {
     std::swap(body, scratch.backup);
+    heal(model, body);
     motion = begin;
     motion.velocity.setZero();
     motion.angular_velocity.setZero();
@@ -260,6 +285,7 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
     response.recovered = true;
   }
   if (response.substeps > 0) measure_reach(model, body);
+  if (body.settled) body.history = {};
   return response;
 }
 

@@ -12,9 +12,13 @@
 
 namespace crumple {
 
-// Sub-steps are a fixed share of time, not of a tick, so that the tick rate does not change the crush. 1/960 s: a car at
-// 50 km/h advances 14 mm, a fifth of an edge of the 2,500-node car.
-inline constexpr double substep_seconds = 1.0 / 960;
+// Sub-steps are a share of time, not of a tick, so that the tick rate does not change the crush. They are halved, up to
+// halvings times, while in one of them the car would meet an obstacle by more than substep_travel (an edge of a 10,000-node
+// car), or contacts would turn its motion by more than substep_turn radians (their force is stepped explicitly).
+inline constexpr double substep_seconds = 1.0 / 480;
+inline constexpr double substep_travel = 0.05;
+inline constexpr double substep_turn = 0.75;
+inline constexpr int halvings = 3;
 
 // What the tick did to the rigid motion. World axes; about the centre of mass.
 struct Response {

@@ -39,7 +39,7 @@ struct Material {
 struct Parameters {
   Solver solver = Solver::nodal;
   // Sweeps per sub-step of `nodal`, iterations per tick of `classic`, [1, 1000].
-  uint16_t iterations = 20;
+  uint16_t iterations = 10;
   std::array<Material, region_limit> region;
 
   friend bool operator==(const Parameters&, const Parameters&) = default;

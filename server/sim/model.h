@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <span>
 
+#include "sim/blocks.h"
+
 namespace crumple {
 
 using Vec3 = Eigen::Vector3f;
@@ -43,6 +45,7 @@ struct Model {
   std::span<const Vec3> vertex;            // v rest positions, m
   std::span<const uint32_t> triangle;      // 3 f
   std::span<const Skin> skin;              // v
+  const Blocks* blocks = nullptr;          // made of the above
   float mass = 0;                          // kg
   Vec3 center_of_mass = Vec3::Zero();      // m
   Vec3 inertia = Vec3::Zero();             // principal, about the centre of mass along the car's axes, kg m^2

@@ -2,64 +2,20 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 namespace crumple {
 namespace {
 
-Mat3 tet_deformation(const Model& model, const Body& body, uint32_t tet) {
-  const uint32_t* n = model.tet[tet].node;
-  return deformation(body.node[n[0]], body.node[n[1]], body.node[n[2]], body.node[n[3]], body.gradients[tet]);
-}
-
-Vec3 corner_gradient(const Gradients& gradients, uint32_t corner) {
-  return corner > 0 ? gradients.corner[corner - 1] : Vec3(-gradients.corner[0] - gradients.corner[1] - gradients.corner[2]);
-}
-
-Mat3 cofactors(const Mat3& f) {
-  Mat3 c;
-  c << f.col(1).cross(f.col(2)), f.col(2).cross(f.col(0)), f.col(0).cross(f.col(1));
-  return c;
-}
+Vec3 vec(const Quad& q) { return {q.x, q.y, q.z}; }
+Quad quad(const Vec3& v, float w) { return {v.x(), v.y(), v.z(), w}; }
 
 // The quadratic in one node: energy = gradient . d + d^T hessian d / 2.
 struct Block {
   Vec3 gradient;
   Mat3 hessian;
 };
-
-// Uses scratch.deformation, which renew_stiffness fills and move_node keeps.
-Block node_block(const Model& model, const Scratch& scratch, const Body& body, uint32_t node) {
-  const float spring = scratch.drag[node] + scratch.anchor[node];
-  Vec3 gradient = scratch.drag[node] * (body.node[node] - scratch.before[node]) +
-                  scratch.anchor[node] * (body.node[node] - model.node[node]);
-  float diagonal = spring;
-  Mat3 volume = Mat3::Zero();
-  for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
-    const uint32_t tet = model.corner[k] / 4;
-    const Elastic& e = scratch.stiffness[tet];
-    const Mat3& f = scratch.deformation[tet];
-    const Vec3 g = corner_gradient(body.gradients[tet], model.corner[k] % 4);
-    const Mat3 cofactor = cofactors(f);
-    const Vec3 c = cofactor * g;  // d(J)/d(x)
-    const float j = f.col(0).dot(cofactor.col(0));
-    gradient += e.mu * (f * g) + (e.l * (j - e.gamma)) * c;
-    diagonal += e.mu * g.squaredNorm();
-    volume += (e.l * c) * c.transpose();
-  }
-  volume.diagonal().array() += diagonal;
-  return {gradient, volume};
-}
-
-// One node moves: F changes by move gradient^T in each of its tets, cheaper than all four corners once more.
-void move_node(const Model& model, uint32_t node, const Vec3& move, Scratch& scratch, Body& body) {
-  body.node[node] += move;
-  for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
-    const uint32_t tet = model.corner[k] / 4;
-    const Vec3 g = corner_gradient(body.gradients[tet], model.corner[k] % 4);
-    scratch.deformation[tet] += move * g.transpose();
-  }
-}
 
 // The lowest point of the block on the planes `active` of this node's contacts, or nothing where a multiplier is negative or
 // another plane is violated.
@@ -118,24 +74,33 @@ Vec3 rub(const Contact& contact, const Block& block, const Mat3& inverse, const 
   return slip.dot(slid - stuck) > 0 ? slid : stuck;
 }
 
-void visit(const Model& model, Scratch& scratch, Body& body, uint32_t node) {
-  const uint32_t first = scratch.contact_first[node];
-  if (model.node_anchored[node] && first == 0) return;
-  const Block block = node_block(model, scratch, body, node);
+struct Solve {
+  const Model& model;
+  Scratch& scratch;
+};
+
+Block block_of(const float gradient[3], const float h[6]) {
+  Block block;
+  block.gradient = {gradient[0], gradient[1], gradient[2]};
+  block.hessian << h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2];
+  return block;
+}
+
+// A node that an obstacle may hold: the lowest point of its quadratic outside the obstacles.
+void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
+  Scratch& scratch = static_cast<Solve*>(context)->scratch;
+  const Block block = block_of(gradient, hessian);
   const Mat3 inverse = block.hessian.inverse();
-  const Vec3 position = body.node[node];
-  const auto move_to = [&](const Vec3& target) { move_node(model, node, target - position, scratch, body); };
-  const Vec3 move = inverse * block.gradient;
-  if (first == 0) {
-    return move_node(model, node, -relaxation * move, scratch, body);
-  }
-  const Contact* contacts = &scratch.contacts[first - 1];
+  const Vec3 position = vec(scratch.node[node]);
+  const auto move_to = [&](const Vec3& target) { scratch.node[node] = quad(target, 0); };
+  const uint32_t first = scratch.contact_first[node] - 1;
+  const Contact* contacts = &scratch.contacts[first];
   int count = 1;
-  while (first - 1 + count < scratch.contacts.size() && contacts[count].node == node) ++count;
-  Held* held = &scratch.held[first - 1];
+  while (first + count < scratch.contacts.size() && contacts[count].node == node) ++count;
+  Held* held = &scratch.held[first];
   for (int i = 0; i < count; ++i) held[i].active = false;
 
-  const Vec3 free = position - move;
+  const Vec3 free = position - inverse * block.gradient;
   bool clear = true;
   for (int i = 0; i < count; ++i) clear = clear && contacts[i].normal.dot(free) >= contacts[i].offset;
   if (clear) return move_to(free);
@@ -160,32 +125,85 @@ void visit(const Model& model, Scratch& scratch, Body& body, uint32_t node) {
   held[0].active = true;
 }
 
-// Moves all nodes along `direction` by the factor in [0, most] that lowers the energy most. Along the line the energy is a
-// polynomial of degree six, so its minimum needs one pass over the tets.
-void search_line(const Model& model, const std::vector<Vec3>& direction, double most, const Scratch& scratch, Body& body) {
-  double derivative[6] = {};  // of the energy along the line: sum derivative[k] a^k
-  for (size_t i = 0; i < body.node.size(); ++i) {
-    const float spring = scratch.drag[i] + scratch.anchor[i];
-    const Vec3 pull = scratch.drag[i] * (body.node[i] - scratch.before[i]) + scratch.anchor[i] * (body.node[i] - model.node[i]);
-    derivative[1] += double(spring * direction[i].squaredNorm());
-    derivative[0] += double(direction[i].dot(pull));
-  }
-  for (uint32_t tet = 0; tet < model.tet.size(); ++tet) {
-    const uint32_t* n = model.tet[tet].node;
-    const Mat3 f1 = deformation(direction[n[0]], direction[n[1]], direction[n[2]], direction[n[3]], body.gradients[tet]);
-    if (f1.isZero(0)) continue;
-    const Mat3 f0 = tet_deformation(model, body, tet);
-    const Elastic& e = scratch.stiffness[tet];
-    derivative[0] += double(e.mu * f0.cwiseProduct(f1).sum());
-    derivative[1] += double(e.mu * f1.squaredNorm());
-    // J(a) = j0 + j1 a + j2 a^2 + j3 a^3
-    const Mat3 c0 = cofactors(f0), c1 = cofactors(f1);
-    const double j[4] = {f0.col(0).dot(c0.col(0)) - e.gamma, c0.cwiseProduct(f1).sum(), c1.cwiseProduct(f0).sum(),
-                         f1.col(0).dot(c1.col(0))};
-    for (int p = 0; p < 4; ++p) {
-      for (int q = 1; q < 4; ++q) derivative[p + q - 1] += double(e.l) * j[p] * q * j[q];
+// The gradient left on a node that contacts hold is their force; friction no more than the cone allows.
+void measure(void* context, uint32_t node, const float gradient[3], const float[6]) {
+  Scratch& scratch = static_cast<Solve*>(context)->scratch;
+  const Vec3 force(gradient[0], gradient[1], gradient[2]);
+  const size_t first = scratch.contact_first[node] - 1;
+  size_t last = first;
+  int planes = 0;
+  while (last < scratch.contacts.size() && scratch.contacts[last].node == node) planes += scratch.held[last++].active;
+  for (size_t k = first; k < last; ++k) {
+    const Contact& contact = scratch.contacts[k];
+    Held& held = scratch.held[k];
+    held.force.setZero();
+    if (!held.active) continue;
+    const float normal_force = std::max(0.0f, contact.normal.dot(force));
+    if (planes > 1) {  // share it: each plane takes what lies along its normal
+      held.force = normal_force / float(planes) * contact.normal;
+      continue;
     }
+    Vec3 tangential = force - contact.normal.dot(force) * contact.normal;
+    const float size = tangential.norm(), most = contact.friction * normal_force;
+    if (size > most) tangential *= most / size;
+    held.force = normal_force * contact.normal + tangential;
   }
+}
+
+NodeView node_view(const Blocks& blocks, Scratch& scratch, Solve& solve) {
+  return {scratch.node.data(),
+          scratch.before.data(),
+          scratch.rest.data(),
+          scratch.stiffness.data(),
+          blocks.node.data(),
+          blocks.row.data(),
+          blocks.anchored.data(),
+          blocks.rows.data(),
+          scratch.weights.data(),
+          scratch.still.data(),
+          scratch.touched.data(),
+          relaxation,
+          false,
+          resolve,
+          &solve};
+}
+
+TetView tet_view(const Blocks& blocks, const Scratch& scratch) {
+  return {scratch.node.data(), blocks.group.data(), scratch.tets.data(), scratch.region.data(), scratch.law.data()};
+}
+
+uint32_t renew_stiffness(const Blocks& blocks, Scratch& scratch) {
+  return kernels().renew(tet_view(blocks, scratch), 0, uint32_t(blocks.group.size()), scratch.stiffness.data(),
+                         scratch.flowing.data());
+}
+
+// A body that has lost its shape (a state from elsewhere, a shape no crash makes) first springs back to the last one it had:
+// nothing flows in this sub-step. Flow would keep what was never there.
+void suspend_flow(const Blocks& blocks, uint32_t lost, uint32_t tets, Scratch& scratch) {
+  const bool suspended = float(lost) > lost_share * float(tets);
+  for (Law& law : scratch.law) law.room = suspended ? 0.0f : law.limit;
+  if (!suspended) return;
+  std::fill(scratch.flowing.begin(), scratch.flowing.end(), uint16_t(0xffff));
+  renew_stiffness(blocks, scratch);
+}
+
+void sweep(const Blocks& blocks, const NodeView& view) {
+  for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernels().visit(view, blocks.colour[c], blocks.colour[c + 1]);
+}
+
+// Moves all nodes along scratch.direction by the factor in [0, most] that lowers the energy most. Along the line the energy is
+// a polynomial of degree six, so its minimum needs one pass over the tets.
+void search_line(const Blocks& blocks, double most, Scratch& scratch) {
+  double derivative[6] = {};  // of the energy along the line: sum derivative[k] a^k
+  for (size_t i = 0; i < scratch.node.size(); ++i) {
+    const Vec3 direction = vec(scratch.direction[i]), position = vec(scratch.node[i]);
+    const float drag = scratch.before[i].w, anchor = scratch.rest[i].w;
+    const Vec3 pull = drag * (position - vec(scratch.before[i])) + anchor * (position - vec(scratch.rest[i]));
+    derivative[1] += double((drag + anchor) * direction.squaredNorm());
+    derivative[0] += double(direction.dot(pull));
+  }
+  kernels().slope(tet_view(blocks, scratch), 0, uint32_t(blocks.group.size()), scratch.stiffness.data(),
+                  scratch.direction.data(), derivative);
   const auto slope = [&](double a) {
     double sum = 0;
     for (int k = 5; k >= 0; --k) sum = sum * a + derivative[k];
@@ -198,125 +216,161 @@ void search_line(const Model& model, const std::vector<Vec3>& direction, double 
   } else {
     for (int i = 0; i < 20; ++i) (slope(0.5 * (low + high)) < 0 ? low : high) = 0.5 * (low + high);
   }
-  for (size_t i = 0; i < body.node.size(); ++i) body.node[i] += float(low) * direction[i];
+  for (size_t i = 0; i < scratch.node.size(); ++i) {
+    scratch.node[i] = quad(vec(scratch.node[i]) + float(low) * vec(scratch.direction[i]), 0);
+  }
 }
 
 // Sub-steps of a crash resemble one another: start from the last displacement, as much of it as lowers the energy.
 // Nodes in contact go where the obstacle takes them first.
-void predict(const Model& model, float share, Scratch& scratch, Body& body) {
-  for (Vec3& step : body.step) step *= share;
+void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
+  for (size_t i = 0; i < body.step.size(); ++i) scratch.direction[i] = quad(share * body.step[i], 0);
   for (const Contact& contact : scratch.contacts) {
-    Vec3& position = body.node[contact.node];
-    position += std::max(0.0f, contact.offset - contact.normal.dot(position)) * contact.normal;
-    body.step[contact.node].setZero();
+    const Vec3 position = vec(scratch.node[contact.node]);
+    const float depth = std::max(0.0f, contact.offset - contact.normal.dot(position));
+    scratch.node[contact.node] = quad(position + depth * contact.normal, 0);
+    scratch.direction[contact.node] = {};
   }
-  search_line(model, body.step, 1, scratch, body);
-}
-
-// What the last pair of sweeps did to the free nodes, once more, as far as it lowers the energy: slow, long waves of the error
-// move on in the same direction. For a tenth of a sweep more it halves what 8 or 16 sweeps leave undone (energy missing from a
-// 48 km/h crash: 5.8 instead of 8.2 %, 1.7 instead of 3.4 %).
-void extrapolate(const Model& model, Scratch& scratch, Body& body) {
-  for (size_t i = 0; i < body.node.size(); ++i) {
-    if (scratch.contact_first[i] > 0 || model.node_anchored[i]) {
-      scratch.direction[i].setZero();
-    } else {
-      scratch.direction[i] = body.node[i] - scratch.pair_start[i];
-    }
-  }
-  search_line(model, scratch.direction, 2, scratch, body);
-}
-
-// What each tet looks like to the next sweep: its F, and its secant moduli times its volume.
-void renew_stiffness(const Model& model, const Parameters& parameters, Scratch& scratch, const Body& body) {
-  Elastic moduli[region_limit];
-  YieldLaw laws[region_limit];
-  for (int r = 0; r < region_limit; ++r) {
-    moduli[r] = elastic(parameters.region[r]);
-    laws[r] = yield_law(parameters.region[r]);
-  }
-  for (uint32_t tet = 0; tet < model.tet.size(); ++tet) {
-    const int region = model.tet_region[tet];
-    scratch.deformation[tet] = tet_deformation(model, body, tet);
-    const Elastic e = secant(moduli[region], laws[region], scratch.deformation[tet], body.hardening[tet]);
-    const float volume = model.tet_rest[tet];
-    scratch.stiffness[tet] = {e.mu * volume, e.l * volume, e.gamma};
-  }
-}
-
-// The gradient left on a node that contacts hold is their force; friction no more than the cone allows.
-void measure_forces(const Model& model, Scratch& scratch, const Body& body) {
-  for (size_t k = 0; k < scratch.contacts.size(); ++k) {
-    const Contact& contact = scratch.contacts[k];
-    Held& held = scratch.held[k];
-    held.force.setZero();
-    if (!held.active) continue;
-    Vec3 force = node_block(model, scratch, body, contact.node).gradient;
-    int planes = 0;
-    for (size_t i = scratch.contact_first[contact.node] - 1; i < scratch.contacts.size(); ++i) {
-      if (scratch.contacts[i].node != contact.node) break;
-      planes += scratch.held[i].active;
-    }
-    if (planes > 1) {  // share it: each plane takes what lies along its normal
-      held.force = std::max(0.0f, contact.normal.dot(force)) / float(planes) * contact.normal;
-      continue;
-    }
-    const float normal_force = std::max(0.0f, contact.normal.dot(force));
-    Vec3 tangential = force - contact.normal.dot(force) * contact.normal;
-    const float size = tangential.norm(), most = contact.friction * normal_force;
-    if (size > most) tangential *= most / size;
-    held.force = normal_force * contact.normal + tangential;
-  }
+  search_line(blocks, 1, scratch);
 }
 
 // Springs for the anchored nodes that obstacles reach; together at most `most` N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, Scratch& scratch) {
+  for (size_t i = 0; i < model.node.size(); ++i) scratch.rest[i] = quad(model.node[i], 0);
   float sum = 0;
   for (const Contact& contact : scratch.contacts) {
     const uint32_t node = contact.node;
-    if (!model.node_anchored[node] || scratch.anchor[node] > 0) continue;
+    float& spring = scratch.rest[node].w;
+    if (!model.node_anchored[node] || spring > 0) continue;
     for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
-      const uint32_t tet = model.corner[k] / 4;
-      const float squared = corner_gradient(model.gradients[tet], model.corner[k] % 4).squaredNorm();
-      scratch.anchor[node] +=
-          anchor_ratio * parameters.region[model.tet_region[tet]].young_modulus * model.tet_rest[tet] * squared;
+      const uint32_t tet = model.corner[k] / 4, corner = model.corner[k] % 4;
+      const auto& g = model.gradients[tet].corner;
+      const float squared = corner > 0 ? g[corner - 1].squaredNorm() : (g[0] + g[1] + g[2]).squaredNorm();
+      spring += anchor_ratio * parameters.region[model.tet_region[tet]].young_modulus * model.tet_rest[tet] * squared;
     }
-    sum += scratch.anchor[node];
+    sum += spring;
   }
   if (!(sum > most)) return;
   for (const Contact& contact : scratch.contacts) {
     if (scratch.contact_first[contact.node] != uint32_t(&contact - scratch.contacts.data()) + 1) continue;  // once a node
-    scratch.anchor[contact.node] *= most / sum;
+    scratch.rest[contact.node].w *= most / sum;
+  }
+}
+
+// Which lanes the sweeps move, and which they leave to `resolve`.
+void mark_lanes(const Blocks& blocks, Scratch& scratch) {
+  for (size_t block = 0; block < blocks.anchored.size(); ++block) {
+    scratch.still[block] = blocks.anchored[block] ? uint16_t(0xffff) : blocks.unused[block];
+    scratch.touched[block] = 0;
+  }
+  for (const Contact& contact : scratch.contacts) {
+    const uint32_t place = blocks.place[contact.node];
+    const uint16_t bit = uint16_t(1u << (place % lanes));
+    scratch.still[place / lanes] |= bit;
+    scratch.touched[place / lanes] |= bit;
+  }
+}
+
+// What the rows of a tet's four nodes need of its gradients.
+void weigh_tet(const Body& body, const Blocks& blocks, uint32_t t, Scratch& scratch) {
+  const auto& g = body.gradients[t].corner;
+  const Vec3 first = -g[0] - g[1] - g[2];
+  const float d01 = first.dot(g[0]), d02 = first.dot(g[1]), d03 = first.dot(g[2]);
+  const float d12 = g[0].dot(g[1]), d13 = g[0].dot(g[2]), d23 = g[1].dot(g[2]);
+  const float weight[4][3] = {{d01, d02, d03}, {d01, d13, d12}, {d23, d02, d12}, {d23, d13, d03}};  // in the order of Row
+  for (int corner = 0; corner < 4; ++corner) {
+    const uint32_t slot = blocks.slot[4 * t + corner];
+    for (int o = 0; o < 3; ++o) scratch.weights[slot / lanes].other[o][slot % lanes] = weight[corner][o];
   }
 }
 
 }  // namespace
 
+void prepare_nodal(const Model& model, const Parameters& parameters, const Body& body, Scratch& scratch) {
+  const Blocks& blocks = *model.blocks;
+  const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
+  constexpr size_t round = lanes / 4;  // quads
+  for (auto* list : {&scratch.node, &scratch.before, &scratch.rest, &scratch.direction}) {
+    list->assign((n + 1 + round - 1) / round * round, Quad{});
+  }
+  scratch.before[n].w = 1;  // what stands in unused lanes must not divide by zero
+  scratch.stiffness.assign(padded + 1, Quad{});
+  scratch.tets.assign(blocks.group.size(), TetLanes{});
+  scratch.weights.assign(blocks.rows.size(), Weights{});
+  scratch.flowing.assign(blocks.group.size(), 0xffff);
+  scratch.still.resize(blocks.anchored.size());
+  scratch.touched.resize(blocks.anchored.size());
+  scratch.region.assign(padded, model.tet_region[t - 1]);
+  std::copy(model.tet_region.begin(), model.tet_region.end(), scratch.region.begin());
+  scratch.volume = 0;
+  for (uint32_t i = 0; i < t; ++i) {
+    TetLanes& tet = scratch.tets[i / lanes];
+    const uint32_t lane = i % lanes;
+    for (int k = 0; k < 9; ++k) tet.gradient[k][lane] = body.gradients[i].corner[k / 3][k % 3];
+    tet.kappa[lane] = body.hardening[i];
+    tet.volume[lane] = model.tet_rest[i];
+    scratch.volume += model.tet_rest[i];
+    weigh_tet(body, blocks, i, scratch);
+  }
+  scratch.law.resize(region_limit);
+  for (int r = 0; r < region_limit; ++r) {
+    const Elastic e = elastic(parameters.region[r]);
+    const YieldLaw y = yield_law(parameters.region[r]);
+    scratch.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.limit, y.limit};
+  }
+}
+
 void solve_nodal(const Model& model, const Parameters& parameters, double mass, float h, float share, Scratch& scratch,
                  Body& body) {
+  const Blocks& blocks = *model.blocks;
   const uint32_t count = uint32_t(body.node.size());
-  for (uint32_t node = 0; node < count; ++node) {
-    const Material& material = parameters.region[model.node_region[node]];
-    scratch.drag[node] = material.viscosity * model.node_mass[node] / model.mass * scratch.volume / h;
-    scratch.anchor[node] = 0;
+  for (uint32_t i = 0; i < count; ++i) {
+    const Material& material = parameters.region[model.node_region[i]];
+    const float drag = material.viscosity * model.node_mass[i] / model.mass * scratch.volume / h;
+    scratch.before[i] = quad(body.node[i], drag);
+    scratch.node[i] = quad(body.node[i], 0);
   }
-  renew_stiffness(model, parameters, scratch, body);
   stiffen_anchors(model, parameters, anchor_share * float(mass) / (h * h), scratch);
-  predict(model, share, scratch, body);
-  for (int sweep = 0; sweep < parameters.iterations; ++sweep) {
-    renew_stiffness(model, parameters, scratch, body);
-    if (sweep % 2 == 0) {
-      if (sweep > 0) extrapolate(model, scratch, body);
-      std::copy(body.node.begin(), body.node.end(), scratch.pair_start.begin());
+  mark_lanes(blocks, scratch);
+  Solve solve{model, scratch};
+  NodeView view = node_view(blocks, scratch, solve);
+  suspend_flow(blocks, renew_stiffness(blocks, scratch), uint32_t(model.tet.size()), scratch);
+  predict(blocks, share, scratch, body);
+  begin_mixing(scratch);
+  // One step of the mixing: as many sweeps as leave its memory longer than a sub-step, at least two between new moduli.
+  const int together = std::max(2, (parameters.iterations + mixing_depth - 1) / mixing_depth);
+  for (int k = 0; k < parameters.iterations; ++k) {
+    if (k % together == 0) {
+      if (k > 0) mix(scratch, body.history);
+      scratch.from = scratch.node;
     }
-    if (sweep % 2 == 0) {
-      for (uint32_t node = 0; node < count; ++node) visit(model, scratch, body, node);
-    } else {
-      for (uint32_t node = count; node-- > 0;) visit(model, scratch, body, node);
+    if (k % together % 2 == 0) renew_stiffness(blocks, scratch);
+    sweep(blocks, view);
+  }
+  renew_stiffness(blocks, scratch);
+  view.measure = true;
+  view.resolve = measure;
+  sweep(blocks, view);
+  for (uint32_t i = 0; i < count; ++i) body.node[i] = vec(scratch.node[i]);
+}
+
+double flow_nodal(const Model& model, Scratch& scratch, Body& body) {
+  const Blocks& blocks = *model.blocks;
+  double work =
+      kernels().flow(tet_view(blocks, scratch), scratch.tets.data(), 0, uint32_t(blocks.group.size()), scratch.flowing.data());
+  for (uint32_t group = 0; group < blocks.group.size(); ++group) {
+    for (unsigned left = scratch.flowing[group]; left != 0; left &= left - 1) {
+      const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
+      const TetLanes& tet = scratch.tets[group];
+      for (int k = 0; k < 9; ++k) body.gradients[t].corner[k / 3][k % 3] = tet.gradient[k][lane];
+      body.hardening[t] = tet.kappa[lane];
+      weigh_tet(body, blocks, t, scratch);
     }
   }
-  renew_stiffness(model, parameters, scratch, body);
-  measure_forces(model, scratch, body);
+  for (size_t i = 0; i < body.node.size(); ++i) {
+    work += double(scratch.before[i].w) * (body.node[i] - vec(scratch.before[i])).squaredNorm();
+  }
+  return work;
 }
 
 }  // namespace crumple

@@ -15,8 +15,17 @@ inline constexpr float anchor_ratio = 30.0f;
 // All those springs together are no stiffer than this share of (car's mass) / h^2: the rigid motion is stepped explicitly.
 inline constexpr float anchor_share = 0.25f;
 
-// Solves one sub-step of h seconds. In: body as the last sub-step left it, scratch.before, contacts, contact_first.
+// Of all tets: when more have lost their shape, none flows.
+inline constexpr float lost_share = 0.002f;
+
+// Before the first sub-step of a tick: the car's state as the kernels want it.
+void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
+
+// Solves one sub-step of h seconds. In: body as the last sub-step left it, scratch.contacts, contact_first.
 // Out: body.node, and what held each contact in scratch.held. share: h over the last sub-step's. mass: the car's, kg.
 void solve_nodal(const Model&, const Parameters&, double mass, float h, float share, Scratch&, Body&);
+
+// After it: plastic flow of the tets that are beyond yield, and the drag that the nodes took: J.
+double flow_nodal(const Model&, Scratch&, Body&);
 
 }  // namespace crumple

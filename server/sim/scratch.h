@@ -6,6 +6,7 @@
 #include "sim/contacts.h"
 #include "sim/deform.h"
 #include "sim/flow.h"
+#include "sim/kernels.h"
 
 namespace crumple {
 
@@ -20,15 +21,25 @@ struct Scratch {
   std::vector<Contact> contacts;        // sorted by node
   std::vector<uint32_t> contact_first;  // per node: its first contact + 1; 0: none
   std::vector<Held> held;               // per contact
-  std::vector<Vec3> before;             // node positions at the start of the sub-step
-  std::vector<Mat3> deformation;        // per tet: F
-  std::vector<Elastic> stiffness;       // per tet: secant moduli times volume, N m (gamma unscaled)
-  std::vector<float> drag;              // per node: c / h, N/m
-  std::vector<float> anchor;            // per node: anchor spring, N/m; 0: free
-  std::vector<Vec3> pair_start;         // node positions before a pair of sweeps
-  std::vector<Vec3> direction;          // of a line search
-  float volume = 0;                     // of all tets at rest, m^3
-  Body backup;                          // as the tick found it
+  std::vector<Vec3> start;              // node positions at the start of the sub-step
+  // Of `nodal`, as its kernels want them (kernels.h).
+  std::vector<Quad> node, before, rest, direction;  // n + 1, padded to whole rounds of 16 floats
+  std::vector<Quad> stiffness;                      // t, padded, + 1
+  std::vector<TetLanes> tets;
+  std::vector<Weights> weights;
+  std::vector<uint8_t> region;    // t, padded
+  std::vector<Law> law;           // per region
+  std::vector<uint16_t> flowing;  // per group of tets: which are beyond yield
+  std::vector<uint16_t> still;    // per block
+  std::vector<uint16_t> touched;  // per block
+  // Of mixing.h.
+  std::vector<Quad> from;                       // nodes before the sweep
+  std::vector<Quad> residual, result, unmixed;  // of the last step; nodes as the last sweep left them
+  double residual_size = 0;                     // squared, m^2
+  bool compared = false, mixed = false;         // there is a last step in this sub-step; it was mixed
+  float volume = 0;                             // of all tets at rest, m^3
+  Body backup;                                  // as the tick found it
+  bool prepared = false;                        // the tick has begun to change the body
 };
 
 }  // namespace crumple

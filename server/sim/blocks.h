@@ -1,0 +1,39 @@
+// The order in which `nodal` visits a car, made once from its tets. Nodes of one colour share no tet, so that they may move at
+// the same time; a block is 16 nodes of one colour, and a row of it holds one tet of each. Tets stand in groups of 16 as well.
+// Lanes that are left over point at one node and one tet that the car does not have: index n and t of arrays one longer.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace crumple {
+
+struct Model;
+
+inline constexpr int lanes = 16;
+
+// Of each lane's node one tet: its other corners, so ordered that the volume they span with the node is positive at rest.
+struct Row {
+  uint32_t other[3][lanes];
+  uint32_t tet[lanes];
+};
+
+struct TetGroup {
+  uint32_t node[4][lanes];
+};
+
+struct Blocks {
+  std::vector<uint32_t> node;     // 16 a block
+  std::vector<uint16_t> unused;   // b: lanes without a node
+  std::vector<uint32_t> row;      // b + 1: rows of block i are row[i] .. row[i + 1)
+  std::vector<uint32_t> colour;   // c + 1: blocks of colour i are colour[i] .. colour[i + 1)
+  std::vector<uint8_t> anchored;  // b: all its nodes are anchored, or none is
+  std::vector<Row> rows;
+  std::vector<uint32_t> slot;   // 4 t: 16 * row + lane where corner k of tet i is node: slot[4 i + k]
+  std::vector<uint32_t> place;  // n: 16 * block + lane of node i
+  std::vector<TetGroup> group;  // ceil(t / 16), tets in the model's order
+};
+
+Blocks make_blocks(const Model&);
+
+}  // namespace crumple

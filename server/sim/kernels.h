@@ -1,0 +1,90 @@
+// The inner loops of `nodal`, on plain arrays: 16 nodes or 16 tets at once. Compiled for several instruction sets and chosen
+// once by what the processor has; all give the same bits. Legend: V rest volume, D determinant of a tet's gradients (1 / D: six
+// times its volume without load), N area vector of the face opposite a node (twice its area), kappa accumulated plastic strain.
+#pragma once
+
+#include <cstddef>
+
+#include "sim/blocks.h"
+#include "sim/vector.h"
+
+namespace crumple {
+
+// A material's constants, Pa; see flow.h.
+struct Law {
+  float mu, l, gamma;         // elastic
+  float shear, bulk;          // 2 mu, 3 K
+  float start, slope, limit;  // yield stress, its slope over kappa, limit of kappa
+  float room;                 // that limit now: 0 while flow is suspended
+};
+
+// What tets keep while a tick lasts, 16 at once.
+struct TetLanes {
+  float gradient[9][lanes];  // rows: corners 1..3; 1/m
+  float volume[lanes];       // at rest, m^3
+  float kappa[lanes];
+};
+
+// Three numbers of a row's lanes: dot products of the node's gradient with those of the other corners, 1/m^2.
+struct Weights {
+  float other[3][lanes];
+};
+
+// Stiffness of a tet as a Quad: x = mu V, N m; y = l V D^2, N/m^5; z = gamma / D, m^3; w unused.
+
+struct NodeView {
+  Quad* node;               // n + 1 positions
+  const Quad* before;       // n + 1 positions at the start of the sub-step; w: drag, N/m
+  const Quad* rest;         // n + 1 positions; w: anchor spring, N/m
+  const Quad* stiffness;    // t + 1
+  const uint32_t* index;    // of Blocks: node
+  const uint32_t* row;      // of Blocks
+  const uint8_t* anchored;  // of Blocks
+  const Row* rows;          // of Blocks
+  const Weights* weights;   // per row
+  const uint16_t* still;    // per block: lanes that do not move freely
+  const uint16_t* touched;  // per block: lanes that an obstacle may hold: `resolve` moves them
+  float relaxation;
+  bool measure;  // nothing moves; `resolve` is called as ever
+  // gradient N; hessian N/m: xx yy zz xy xz yz
+  void (*resolve)(void* context, uint32_t node, const float gradient[3], const float hessian[6]);
+  void* context;
+};
+
+struct TetView {
+  const Quad* node;  // n + 1
+  const TetGroup* group;
+  const TetLanes* tet;
+  const uint8_t* region;  // t, padded to whole groups
+  const Law* law;         // per region
+};
+
+struct Kernels {
+  const char* name;
+  // Minimises node by node, blocks [first, last).
+  void (*visit)(const NodeView&, uint32_t first, uint32_t last);
+  // Secant moduli of the groups [first, last), as flow.h has them. flowing: per group, lanes whose tet is beyond yield; where
+  // none was before and none is now the moduli are left as they stand. Returns how many tets have lost their shape: inverted,
+  // nearly flat, or stretched beyond what any crash does.
+  uint32_t (*renew)(const TetView&, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing);
+  // Adds the derivative of the elastic energy along `direction`, sum derivative[k] a^k, of the groups [first, last).
+  void (*slope)(const TetView&, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
+                double derivative[6]);
+  // Plastic flow of the lanes `flowing` (flow.h), from which those that stay elastic after all are taken. Changes gradients and
+  // kappa; returns the plastic work, J.
+  double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, uint16_t* flowing);
+  // Of mixing.h, on n quads, a multiple of four. Replaces residual by after - before and result by after; by how much they
+  // changed goes out, and the square of the new residual's length, m^2.
+  void (*compare)(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
+                  Quad* result_change, double* size);
+  // out[p] = a . b[p], p < count.
+  void (*products)(const Quad* a, const Quad* const* b, int count, size_t n, double* out);
+  // to += sum scale[p] a[p]
+  void (*combine)(const Quad* const* a, const float* scale, int count, size_t n, Quad* to);
+};
+
+// The widest that this processor has; or by name (scalar, avx2, avx512), nullptr if it lacks it: for tests.
+const Kernels& kernels();
+const Kernels* kernels(const char* name);
+
+}  // namespace crumple

@@ -1,0 +1,492 @@
+// The loops behind kernels.h for N lanes at a time. Included by one source per instruction set, which must share no inline
+// function with the rest of the program: a copy compiled for a newer processor could be the one that the linker keeps.
+#pragma once
+
+#include <bit>
+
+#include "sim/kernels.h"
+
+namespace crumple {
+namespace {
+
+template <int N>
+struct Block {
+  Vec3s<N> gradient;
+  Floats<N> xx, yy, zz, xy, xz, yz;
+};
+
+// With w_o = gradient of the node . gradient of corner o, and e_o the edge to it: F gradient = sum w_o e_o, |gradient|^2 =
+// - sum w_o, J = D e_0 . N, dJ = - D N.
+template <int N>
+CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane, const Vec3s<N>& position,
+                                     const Quads<N>& before) {
+  const Floats<N> drag = before.w;
+  Block<N> out{(position - before.xyz()) * drag, drag, drag, drag, {}, {}, {}};
+  if (v.anchored[block]) {
+    const Quads<N> rest = gather<N>(v.rest, &v.index[lanes * block + lane]);
+    out.gradient = out.gradient + (position - rest.xyz()) * rest.w;
+    out.xx += rest.w;
+    out.yy += rest.w;
+    out.zz += rest.w;
+  }
+  Floats<N> diagonal{};
+  for (uint32_t r = v.row[block]; r < v.row[block + 1]; ++r) {
+    const Row& row = v.rows[r];
+    const Weights& weights = v.weights[r];
+    const Quads<N> s = gather<N>(v.stiffness, row.tet + lane);
+    const Vec3s<N> a = gather<N>(v.node, row.other[0] + lane).xyz() - position;
+    const Vec3s<N> b = gather<N>(v.node, row.other[1] + lane).xyz() - position;
+    const Vec3s<N> c = gather<N>(v.node, row.other[2] + lane).xyz() - position;
+    const Floats<N> wa = s.x * load<N>(weights.other[0] + lane);
+    const Floats<N> wb = s.x * load<N>(weights.other[1] + lane);
+    const Floats<N> wc = s.x * load<N>(weights.other[2] + lane);
+    const Vec3s<N> normal = cross(b - a, c - a);
+    const Floats<N> pull = s.y * (dot(a, normal) - s.z);
+    out.gradient = out.gradient + (a * wa + b * wb + c * wc - normal * pull);
+    diagonal -= wa + wb + wc;
+    const Vec3s<N> q = normal * s.y;
+    out.xx += q.x * normal.x;
+    out.yy += q.y * normal.y;
+    out.zz += q.z * normal.z;
+    out.xy += q.x * normal.y;
+    out.xz += q.x * normal.z;
+    out.yz += q.y * normal.z;
+  }
+  out.xx += diagonal;
+  out.yy += diagonal;
+  out.zz += diagonal;
+  return out;
+}
+
+// hessian^-1 gradient
+template <int N>
+CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& b) {
+  const Floats<N> xx = b.yy * b.zz - b.yz * b.yz, xy = b.xz * b.yz - b.xy * b.zz, xz = b.xy * b.yz - b.xz * b.yy;
+  const Floats<N> yy = b.xx * b.zz - b.xz * b.xz, yz = b.xy * b.xz - b.xx * b.yz, zz = b.xx * b.yy - b.xy * b.xy;
+  const Floats<N> scale = 1.0f / (b.xx * xx + b.xy * xy + b.xz * xz);
+  const Vec3s<N>& g = b.gradient;
+  return {(xx * g.x + xy * g.y + xz * g.z) * scale, (xy * g.x + yy * g.y + yz * g.z) * scale,
+          (xz * g.x + yz * g.y + zz * g.z) * scale};
+}
+
+template <int N>
+void visit(const NodeView& v, uint32_t first, uint32_t last) {
+  for (uint32_t block = first; block < last; ++block) {
+    const unsigned still = v.still[block], touched = v.touched[block];
+    if ((v.measure || still == 0xffff) && touched == 0) continue;
+    for (int lane = 0; lane < lanes; lane += N) {
+      const uint32_t* index = &v.index[lanes * block + lane];
+      const Quads<N> position = gather<N>(v.node, index);
+      const Block<N> b = gather_block<N>(v, block, lane, position.xyz(), gather<N>(v.before, index));
+      if (!v.measure) {
+        const Vec3s<N> target = position.xyz() - solve<N>(b) * broadcast<N>(v.relaxation);
+        scatter<N>(target, v.node, index, still >> lane);
+      }
+      if (touched >> lane == 0) continue;
+      for (int k = 0; k < N; ++k) {
+        if (!(touched >> (lane + k) & 1)) continue;
+        const float gradient[3] = {b.gradient.x[k], b.gradient.y[k], b.gradient.z[k]};
+        const float hessian[6] = {b.xx[k], b.yy[k], b.zz[k], b.xy[k], b.xz[k], b.yz[k]};
+        v.resolve(v.context, index[k], gradient, hessian);
+      }
+    }
+  }
+}
+
+template <int N>
+struct LawLanes {
+  Floats<N> mu, l, gamma, shear, bulk, start, slope, limit;
+  bool isotropic;  // shear and bulk are the same everywhere: nothing to iterate
+};
+
+template <int N>
+CRUMPLE_INLINE LawLanes<N> laws(const TetView& v, const uint8_t* region) {
+  bool uniform = true;
+  for (int k = 1; k < N; ++k) uniform &= region[k] == region[0];
+  LawLanes<N> out;
+  const Law& law = v.law[region[0]];
+  out.isotropic = law.shear == law.bulk;
+  out.mu = broadcast<N>(law.mu);
+  out.l = broadcast<N>(law.l);
+  out.gamma = broadcast<N>(law.gamma);
+  out.shear = broadcast<N>(law.shear);
+  out.bulk = broadcast<N>(law.bulk);
+  out.start = broadcast<N>(law.start);
+  out.slope = broadcast<N>(law.slope);
+  out.limit = broadcast<N>(law.room);
+  if (uniform) return out;
+  for (int k = 1; k < N; ++k) {
+    const Law& other = v.law[region[k]];
+    out.isotropic &= other.shear == other.bulk;
+    out.mu[k] = other.mu;
+    out.l[k] = other.l;
+    out.gamma[k] = other.gamma;
+    out.shear[k] = other.shear;
+    out.bulk[k] = other.bulk;
+    out.start[k] = other.start;
+    out.slope[k] = other.slope;
+    out.limit[k] = other.room;
+  }
+  return out;
+}
+
+template <int N>
+struct Matrices {
+  Vec3s<N> col[3];
+};
+
+template <int N>
+CRUMPLE_INLINE Vec3s<N> gradient_row(const TetLanes& tet, int lane, int corner) {
+  return {load<N>(tet.gradient[3 * corner] + lane), load<N>(tet.gradient[3 * corner + 1] + lane),
+          load<N>(tet.gradient[3 * corner + 2] + lane)};
+}
+
+template <int N>
+struct Edges {
+  Vec3s<N> a, b, c;
+};
+template <int N>
+CRUMPLE_INLINE Edges<N> edges_of(const Quad* node, const TetGroup& group, int lane) {
+  const Vec3s<N> origin = gather<N>(node, group.node[0] + lane).xyz();
+  return {gather<N>(node, group.node[1] + lane).xyz() - origin, gather<N>(node, group.node[2] + lane).xyz() - origin,
+          gather<N>(node, group.node[3] + lane).xyz() - origin};
+}
+
+template <int N>
+CRUMPLE_INLINE Matrices<N> deformation_of(const Edges<N>& e, const Vec3s<N>& ga, const Vec3s<N>& gb, const Vec3s<N>& gc) {
+  return {{e.a * ga.x + e.b * gb.x + e.c * gc.x, e.a * ga.y + e.b * gb.y + e.c * gc.y, e.a * ga.z + e.b * gb.z + e.c * gc.z}};
+}
+
+// flow.h's plastic_multiplier; 0 where the tet stays elastic.
+template <int N>
+CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& deviator2, const Floats<N>& mean,
+                                    const Floats<N>& kappa) {
+  const Floats<N> norm = root<N>(deviator2 + 3.0f * mean * mean);
+  const Floats<N> stiffest = larger(law.shear, law.bulk);
+  const Floats<N> yield = larger(law.start + law.slope * kappa, 1e-5f * stiffest);
+  const Floats<N> room = law.limit - kappa;
+  Floats<N> d = (norm - yield) / (stiffest * yield + law.slope * norm);
+  if (!law.isotropic) {
+    const Floats<N> deviator = root<N>(deviator2);
+    const Floats<N> pressure = 1.7320508f * (mean < 0.0f ? -mean : mean);
+    for (int i = 0; i < 5; ++i) {
+      const Floats<N> da = 1.0f + law.shear * d, db = 1.0f + law.bulk * d;
+      const Floats<N> a = deviator / da, b = pressure / db;
+      const Floats<N> left = larger(root<N>(a * a + b * b), broadcast<N>(1e-20f));
+      const Floats<N> slope = (a * a * law.shear / da + b * b * law.bulk / db) / left;
+      const Floats<N> rest = 1.0f - law.slope * d;
+      const Floats<N> value = left * rest - yield;
+      const Floats<N> step = value / (slope * rest + left * law.slope);
+      d = value > 0.0f ? d + step : d;
+    }
+  }
+  const Floats<N> flowed = norm / (1.0f + stiffest * d);
+  const Floats<N> gap = norm - stiffest * room;
+  d = (d * flowed > room) & (gap > 0.0f) ? room / gap : d;
+  return (norm > yield) & (room > 0.0f) ? d : Floats<N>{};
+}
+
+constexpr float lost_volume = 0.02f;  // share of its volume left
+constexpr float lost_stretch = 6;     // mean square of its stretches: four times as long, or two and a half in all directions
+
+// Square of the yield stress.
+template <int N>
+CRUMPLE_INLINE Floats<N> yield_of(const LawLanes<N>& law, const Floats<N>& kappa) {
+  const Floats<N> yield = larger(law.start + law.slope * kappa, 1e-5f * larger(law.shear, law.bulk));
+  return yield * yield;
+}
+
+template <int N>
+uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing) {
+  uint32_t lost = 0;
+  for (uint32_t g = first; g < last; ++g) {
+    const bool changes = flowing[g] != 0;  // since the last time, or all were elastic and may still be
+    unsigned beyond = 0;
+    for (int lane = 0; lane < lanes; lane += N) {
+      const TetLanes& tet = v.tet[g];
+      const LawLanes<N> law = laws<N>(v, v.region + lanes * g + lane);
+      const Vec3s<N> ga = gradient_row<N>(tet, lane, 0), gb = gradient_row<N>(tet, lane, 1), gc = gradient_row<N>(tet, lane, 2);
+      const Matrices<N> f = deformation_of<N>(edges_of<N>(v.node, v.group[g], lane), ga, gb, gc);
+      const Floats<N> j = dot(f.col[0], cross(f.col[1], f.col[2]));
+      // tau = mu F F^T + l (J - gamma) J I
+      const auto entry = [&](const Floats<N> Vec3s<N>::*r, const Floats<N> Vec3s<N>::*c) {
+        return f.col[0].*r * (f.col[0].*c) + f.col[1].*r * (f.col[1].*c) + f.col[2].*r * (f.col[2].*c);
+      };
+      const auto X = &Vec3s<N>::x, Y = &Vec3s<N>::y, Z = &Vec3s<N>::z;
+      const Floats<N> xx = entry(X, X), yy = entry(Y, Y), zz = entry(Z, Z), xy = entry(X, Y), xz = entry(X, Z),
+                      yz = entry(Y, Z);
+      const Floats<N> third = (xx + yy + zz) * (1.0f / 3);
+      const Floats<N> dx = xx - third, dy = yy - third, dz = zz - third;
+      const Floats<N> deviator2 = law.mu * law.mu * (dx * dx + dy * dy + dz * dz + 2.0f * (xy * xy + xz * xz + yz * yz));
+      const Floats<N> mean = law.mu * third + law.l * (j - law.gamma) * j;
+      const Floats<N> volume = load<N>(tet.volume + lane);
+      lost += uint32_t(std::popcount(bits<N>(((j <= lost_volume) | (third > lost_stretch)) & (volume > 0.0f))));
+      if (!changes && !any<N>(deviator2 + 3.0f * mean * mean > yield_of<N>(law, load<N>(tet.kappa + lane)))) continue;
+      const Floats<N> d = multiplier<N>(law, deviator2, mean, load<N>(tet.kappa + lane));
+      const Floats<N> mu = law.mu / (1.0f + law.shear * d);
+      const Floats<N> l = (law.bulk / (1.0f + law.bulk * d) + mu) * (1.0f / 3);  // lambda + mu, from 3 K = 3 lambda + 2 mu
+      const Floats<N> D = dot(ga, cross(gb, gc));
+      const Floats<N> x = volume * mu, y = volume * l * D * D;
+      const Floats<N> z = D > 0.0f ? (1.0f + mu / l) / D : Floats<N>{};
+      uint32_t index[N];
+      for (int k = 0; k < N; ++k) index[k] = lanes * g + lane + k;
+      scatter<N>({x, y, z}, stiffness, index, 0);
+      beyond |= bits<N>(d > 0.0f) << lane;
+    }
+    flowing[g] = uint16_t(beyond);
+  }
+  return lost;
+}
+
+template <int N>
+void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
+           double derivative[6]) {
+  constexpr uint32_t together = 16;  // groups summed in single precision
+  for (uint32_t begin = first; begin < last; begin += together) {
+    Floats<N> sum[lanes / N][6] = {};
+    for (uint32_t g = begin; g < last && g < begin + together; ++g) {
+      for (int part = 0; part < lanes / N; ++part) {
+        const int lane = part * N;
+        const Edges<N> f = edges_of<N>(direction, v.group[g], lane);
+        const Floats<N> moved = dot(f.a, f.a) + dot(f.b, f.b) + dot(f.c, f.c);
+        bool any = false;
+        for (int k = 0; k < N; ++k) any |= moved[k] > 0;
+        if (!any) continue;
+        const TetLanes& tet = v.tet[g];
+        const Vec3s<N> ga = gradient_row<N>(tet, lane, 0), gb = gradient_row<N>(tet, lane, 1),
+                       gc = gradient_row<N>(tet, lane, 2);
+        const Edges<N> e = edges_of<N>(v.node, v.group[g], lane);
+        const Matrices<N> f0 = deformation_of<N>(e, ga, gb, gc), f1 = deformation_of<N>(f, ga, gb, gc);
+        uint32_t index[N];
+        for (int k = 0; k < N; ++k) index[k] = lanes * g + lane + k;
+        const Quads<N> s = gather<N>(stiffness, index);
+        // six times the volume along the line: j0 + j1 a + j2 a^2 + j3 a^3, less where it wants to be
+        const Vec3s<N> ebc = cross(e.b, e.c), fbc = cross(f.b, f.c), mixed = cross(f.b, e.c) + cross(e.b, f.c);
+        const Floats<N> j0 = dot(e.a, ebc) - s.z, j1 = dot(f.a, ebc) + dot(e.a, mixed), j2 = dot(f.a, mixed) + dot(e.a, fbc),
+                        j3 = dot(f.a, fbc);
+        Floats<N>* d = sum[part];
+        d[0] += s.x * (dot(f0.col[0], f1.col[0]) + dot(f0.col[1], f1.col[1]) + dot(f0.col[2], f1.col[2])) + s.y * j0 * j1;
+        d[1] += s.x * (dot(f1.col[0], f1.col[0]) + dot(f1.col[1], f1.col[1]) + dot(f1.col[2], f1.col[2])) +
+                s.y * (j1 * j1 + 2.0f * j0 * j2);
+        d[2] += s.y * (3.0f * (j1 * j2 + j0 * j3));
+        d[3] += s.y * (2.0f * j2 * j2 + 4.0f * j1 * j3);
+        d[4] += s.y * (5.0f * j2 * j3);
+        d[5] += s.y * (3.0f * j3 * j3);
+      }
+    }
+    for (int k = 0; k < 6; ++k) {
+      for (int part = 0; part < lanes / N; ++part) {
+        for (int lane = 0; lane < N; ++lane) derivative[k] += double(sum[part][k][lane]);
+      }
+    }
+  }
+}
+
+// One rotation of Jacobi's method: makes a_pq zero. r: the third row and column; axes rotate along.
+template <int N>
+CRUMPLE_INLINE void rotate(Floats<N>& app, Floats<N>& aqq, Floats<N>& apq, Floats<N>& arp, Floats<N>& arq, Vec3s<N>& p,
+                           Vec3s<N>& q) {
+  const Floats<N> theta = (aqq - app) / (2.0f * apq);
+  const Floats<N> size = 1.0f / (magnitude<N>(theta) + root<N>(theta * theta + 1.0f));
+  const Ints<N> done = magnitude<N>(apq) < 1e-30f;
+  const Floats<N> t = done ? Floats<N>{} : theta < 0.0f ? -size : size;
+  const Floats<N> c = 1.0f / root<N>(t * t + 1.0f), s = t * c;
+  app -= t * apq;
+  aqq += t * apq;
+  apq = Floats<N>{};
+  const Floats<N> rp = c * arp - s * arq;
+  arq = s * arp + c * arq;
+  arp = rp;
+  const Vec3s<N> new_p = p * c - q * s;
+  q = p * s + q * c;
+  p = new_p;
+}
+
+// Principal strains, their axes, and the law: what the root find below needs of 16 tets.
+template <int N>
+struct Trial {
+  LawLanes<N> law;
+  Vec3s<N> deviator;
+  Floats<N> mean, kappa, room;
+};
+template <int N>
+struct Flowed {
+  Vec3s<N> change;  // of the elastic principal strains
+  Floats<N> norm, grown, excess;
+};
+
+// The state with the deviator at s of the trial's, the mean at 1 / (1 + (bulk / shear) (1/s - 1)) of it; see flow.h.
+template <int N>
+CRUMPLE_INLINE Flowed<N> flowed_at(const Trial<N>& t, const Floats<N>& s) {
+  const LawLanes<N>& law = t.law;
+  const Floats<N> part = s / (s + law.bulk / law.shear * (1.0f - s));
+  const Floats<N> m = t.mean * part;
+  const Vec3s<N> stretch = {exp_of<N>(s * t.deviator.x + m), exp_of<N>(s * t.deviator.y + m), exp_of<N>(s * t.deviator.z + m)};
+  const Floats<N> j = stretch.x * stretch.y * stretch.z;
+  const Floats<N> pressure = law.l * (j - law.gamma) * j;
+  const Vec3s<N> tau = {law.mu * stretch.x * stretch.x + pressure, law.mu * stretch.y * stretch.y + pressure,
+                        law.mu * stretch.z * stretch.z + pressure};
+  const Floats<N> fall = (part - 1.0f) * t.mean;
+  Flowed<N> out;
+  out.change = {(s - 1.0f) * t.deviator.x + fall, (s - 1.0f) * t.deviator.y + fall, (s - 1.0f) * t.deviator.z + fall};
+  out.norm = root<N>(dot(tau, tau));
+  out.grown = root<N>(dot(out.change, out.change));
+  out.excess = smaller((out.norm - law.start - law.slope * (t.kappa + out.grown)) / law.shear, t.room - out.grown);
+  return out;
+}
+
+constexpr float close =
+    1e-6f;  // excess of stress over shear at which the root find stops: a ten-thousandth of the yield strain
+
+template <int N>
+double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uint16_t* flowing) {
+  double work = 0;
+  for (uint32_t g = first; g < last; ++g) {
+    unsigned all = flowing[g];
+    for (int lane = 0; lane < lanes; lane += N) {
+      const unsigned part = all >> lane & ((1u << N) - 1);
+      if (part == 0) continue;
+      TetLanes& tet = tets[g];
+      Vec3s<N> gradient[3];
+      for (int k = 0; k < 3; ++k) gradient[k] = gradient_row<N>(tet, lane, k);
+      const Matrices<N> f = deformation_of<N>(edges_of<N>(v.node, v.group[g], lane), gradient[0], gradient[1], gradient[2]);
+      const Floats<N> j = dot(f.col[0], cross(f.col[1], f.col[2]));
+      // F^T F = sum lambda_i axis_i axis_i^T
+      Floats<N> xx = dot(f.col[0], f.col[0]), yy = dot(f.col[1], f.col[1]), zz = dot(f.col[2], f.col[2]);
+      Floats<N> xy = dot(f.col[0], f.col[1]), xz = dot(f.col[0], f.col[2]), yz = dot(f.col[1], f.col[2]);
+      const Floats<N> one = broadcast<N>(1), none{};
+      Vec3s<N> ax = {one, none, none}, ay = {none, one, none}, az = {none, none, one};
+      for (int round = 0; round < 4; ++round) {
+        rotate<N>(xx, yy, xy, xz, yz, ax, ay);
+        rotate<N>(xx, zz, xz, xy, yz, ax, az);
+        rotate<N>(yy, zz, yz, xy, xz, ay, az);
+      }
+      const Floats<N> least = broadcast<N>(1e-6f);
+      const Vec3s<N> strain = {0.5f * log_of<N>(larger(xx, least)), 0.5f * log_of<N>(larger(yy, least)),
+                               0.5f * log_of<N>(larger(zz, least))};
+      Trial<N> trial;
+      trial.law = laws<N>(v, v.region + lanes * g + lane);
+      trial.mean = (strain.x + strain.y + strain.z) * (1.0f / 3);
+      trial.deviator = {strain.x - trial.mean, strain.y - trial.mean, strain.z - trial.mean};
+      trial.kappa = load<N>(tet.kappa + lane);
+      trial.room = larger(trial.law.limit - trial.kappa, none);
+      Floats<N> low = none, high = one, below = flowed_at<N>(trial, low).excess, above = flowed_at<N>(trial, high).excess;
+      const Ints<N> flows = (above > 0.0f) & (below <= 0.0f) & (j > lost_volume);
+      Floats<N> share = none;
+      Ints<N> open = flows;  // each lane stops by itself, whoever stands beside it
+      for (int round = 0; round < 12 && any<N>(open); ++round) {
+        const Floats<N> s = (low * above - high * below) / (above - below);
+        share = open ? s : share;
+        const Floats<N> excess = flowed_at<N>(trial, s).excess;
+        const Ints<N> too_much = excess > 0.0f;
+        high = too_much ? s : high;
+        low = too_much ? low : s;
+        const Floats<N> next_above = too_much ? excess : 0.5f * above;
+        below = too_much ? 0.5f * below : excess;
+        above = next_above;
+        open &= magnitude<N>(excess) > close;
+      }
+      const Flowed<N> now = flowed_at<N>(trial, share);
+      // The factor axes diag(exp(change)) axes^T moves into the gradients.
+      const Vec3s<N> grow = {exp_of<N>(now.change.x) - 1.0f, exp_of<N>(now.change.y) - 1.0f, exp_of<N>(now.change.z) - 1.0f};
+      const Floats<N> energy = 0.5f * (now.norm + trial.law.start + trial.law.slope * trial.kappa) * now.grown;
+      const Floats<N> kappa = smaller(trial.law.limit, trial.kappa + now.grown);
+      const Floats<N> volume = load<N>(tet.volume + lane);
+      Vec3s<N> changed[3];
+      for (int k = 0; k < 3; ++k) {
+        const Vec3s<N>& g0 = gradient[k];
+        changed[k] = g0 + ax * (grow.x * dot(ax, g0)) + ay * (grow.y * dot(ay, g0)) + az * (grow.z * dot(az, g0));
+      }
+      for (int k = 0; k < N; ++k) {
+        if (!(part >> k & 1)) continue;
+        if (!flows[k]) {
+          all &= ~(1u << (lane + k));
+          continue;
+        }
+        work += double(volume[k]) * double(energy[k] > 0 ? energy[k] : 0.0f);
+        tet.kappa[lane + k] = kappa[k];
+        for (int corner = 0; corner < 3; ++corner) {
+          tet.gradient[3 * corner][lane + k] = changed[corner].x[k];
+          tet.gradient[3 * corner + 1][lane + k] = changed[corner].y[k];
+          tet.gradient[3 * corner + 2][lane + k] = changed[corner].z[k];
+        }
+      }
+    }
+    flowing[g] = uint16_t(all);
+  }
+  return work;
+}
+
+// Sums in 16 lanes of single precision, 256 quads at a time, and these in double: the same for any N.
+constexpr size_t stretch = 1024;  // floats
+
+template <int N>
+struct Sum {
+  Floats<N> part[lanes / N] = {};
+  CRUMPLE_INLINE double total() const {
+    double sum = 0;
+    for (const Floats<N>& each : part) {
+      for (int k = 0; k < N; ++k) sum += double(each[k]);
+    }
+    return sum;
+  }
+};
+
+// work(i, part) for all floats [begin, end), N at a time, 16 a round.
+template <int N, class Work>
+CRUMPLE_INLINE void rounds(size_t begin, size_t end, const Work& work) {
+  for (size_t i = begin; i < end; i += lanes) {
+    for (int part = 0; part < lanes / N; ++part) work(i + part * N, part);
+  }
+}
+
+template <int N>
+void compare(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
+             Quad* result_change, double* size) {
+  const float *a = &after->x, *b = &before->x;
+  float *f = &residual->x, *g = &result->x, *df = &residual_change->x, *dg = &result_change->x;
+  *size = 0;
+  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+    Sum<N> sum;
+    rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch, [&](size_t i, int part) [[gnu::always_inline]] {
+      const Floats<N> now = load<N>(a + i), moved = now - load<N>(b + i);
+      store<N>(moved - load<N>(f + i), df + i);
+      store<N>(now - load<N>(g + i), dg + i);
+      store<N>(moved, f + i);
+      store<N>(now, g + i);
+      sum.part[part] += moved * moved;
+    });
+    *size += sum.total();
+  }
+}
+
+template <int N>
+void products(const Quad* first, const Quad* const* others, int count, size_t n, double* out) {
+  for (int p = 0; p < count; ++p) out[p] = 0;
+  const float* a = &first->x;
+  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+    for (int p = 0; p < count; ++p) {
+      const float* b = &others[p]->x;
+      Sum<N> sum;
+      rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch,
+                [&](size_t i, int part) [[gnu::always_inline]] { sum.part[part] += load<N>(a + i) * load<N>(b + i); });
+      out[p] += sum.total();
+    }
+  }
+}
+
+template <int N>
+void combine(const Quad* const* others, const float* scale, int count, size_t n, Quad* to) {
+  float* a = &to->x;
+  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+    for (int p = 0; p < count; ++p) {
+      const float* b = &others[p]->x;
+      const Floats<N> by = broadcast<N>(scale[p]);
+      rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch,
+                [&](size_t i, int) [[gnu::always_inline]] { store<N>(load<N>(a + i) + by * load<N>(b + i), a + i); });
+    }
+  }
+}
+
+}  // namespace
+}  // namespace crumple
