@@ -1,0 +1,139 @@
+// The stability matrix: every method against every hostile start, and what became of the car.
+//   crumple_stability CAR [--quick] [--seed N] [--only TEXT] -o CSV
+// in: a baked car (1,000 nodes are plenty); out: one row a cell: what happened, the share of inverted tets, the rms distance of
+// the nodes from where they should be in % of the car's diagonal, the hash of the body, ticks, and how many of them deform()
+// undid. The same car and seed give the same rows on any number of threads.
+// A start that says "elastic" has no plasticity, so the car must come back to rest; one that says "plastic" has the default
+// material, was dented by a wall before nodes were displaced, and must come back to that dent. Where a car is dented by the
+// scene itself, it must stay finite, without inverted tets, and no farther from rest than what pushed it could bring it.
+// What happened: recovered; wrong rest; inverted (tets); passed (an obstacle went through the car); exploded (a node 10 m from
+// rest or more); not finite (at the end, or deform() had to undo a tick for it).
+#include <tbb/parallel_for.h>
+
+#include <atomic>
+#include <cstdio>
+#include <stdexcept>
+
+#include "asset/build_constraints.h"
+#include "hostile.h"
+
+namespace {
+
+using namespace crumple;
+
+constexpr double recovered_share = 1e-3;  // rms shape error over the diagonal: 5 mm on a car
+
+struct Outcome {
+  const char* what;
+  double inverted, error;  // %
+  uint64_t hash;
+  int ticks, undone;
+};
+
+Outcome judge(const Run& run) {
+  Outcome out{"recovered", 0, 0, hash(run.body), run.ticks, run.undone};
+  size_t inverted = 0;
+  for (const Tet& tet : run.model.tet) {
+    const auto at = [&](int k) -> const Vec3& { return run.body.node[tet.node[k]]; };
+    inverted += !(tet_volume(at(0), at(1), at(2), at(3)) > 0);
+  }
+  double squares = 0, farthest = 0;
+  for (size_t i = 0; i < run.goal.size(); ++i) {
+    squares += (run.body.node[i] - run.goal[i]).cast<double>().squaredNorm();
+    farthest = std::max(farthest, double((run.body.node[i] - run.model.node[i]).norm()));
+  }
+  const double rms = std::sqrt(squares / double(run.goal.size())), diagonal = double(run.box.size().norm());
+  out.inverted = 100 * double(inverted) / double(run.model.tet.size());
+  out.error = 100 * rms / diagonal;
+  if (!finite(run.body)) out.inverted = out.error = std::numeric_limits<double>::quiet_NaN();  // the same text for all
+  if (!finite(run.body) || (run.undone > 0 && !run.poisoned))
+    out.what = "not finite";
+  else if (!(farthest <= exploded_distance))
+    out.what = "exploded";
+  else if (run.passed)
+    out.what = "passed";
+  else if (inverted > 0)
+    out.what = "inverted";
+  else if (!(rms <= (run.limit > 0 ? run.limit : recovered_share * diagonal)))
+    out.what = "wrong rest";
+  return out;
+}
+
+struct Options {
+  std::string car, csv, only;
+  bool quick = false;
+  uint64_t seed = 1;
+};
+
+void write_matrix(const Options& options) {
+  const auto car = load_car(options.car);
+  std::vector<std::pair<const Method*, Scene>> cells;
+  for (const Scene& scene : hostile_scenes(*car, options.seed, options.quick)) {
+    for (const Method& method : methods) {
+      if ((std::string(method.name) + ": " + scene.name).find(options.only) != std::string::npos)
+        cells.push_back({&method, scene});
+    }
+  }
+  if (cells.empty()) throw std::runtime_error("no cell \"METHOD: START\" contains \"" + options.only + "\"; see a whole CSV.");
+  std::vector<Outcome> outcomes(cells.size());
+  std::atomic<size_t> done = 0;
+  tbb::parallel_for(size_t(0), cells.size(), [&](size_t i) {
+    const auto& [method, scene] = cells[i];
+    Run run(scene.car ? scene.car : car, *method, scene.parameters, options.seed);
+    scene.play(run);
+    outcomes[i] = judge(run);
+    std::fprintf(stderr, "%4zu of %zu  %s: %s: %s, inverted %.2f %%, shape error %.3f %%\n", ++done, cells.size(), method->name,
+                 scene.name.c_str(), outcomes[i].what, outcomes[i].inverted, outcomes[i].error);
+  });
+  const std::unique_ptr<FILE, int (*)(FILE*)> file(std::fopen(options.csv.c_str(), "w"), std::fclose);
+  if (!file) throw std::runtime_error(options.csv + ": cannot be written; name a folder that exists and can be written.");
+  std::fprintf(file.get(), "method,start,outcome,inverted_percent,shape_error_percent,hash,ticks,undone\n");
+  for (size_t i = 0; i < cells.size(); ++i) {
+    const Outcome& o = outcomes[i];
+    std::fprintf(file.get(), "%s,\"%s\",%s,%.4g,%.4g,%016llx,%d,%d\n", cells[i].first->name, cells[i].second.name.c_str(),
+                 o.what, o.inverted, o.error, static_cast<unsigned long long>(o.hash), o.ticks, o.undone);
+  }
+}
+
+Options read_options(int argc, char** argv) {
+  Options options;
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = argv[i];
+    const auto value = [&]() -> std::string {
+      if (++i == argc) throw std::runtime_error(word + ": a value must follow it.");
+      return argv[i];
+    };
+    if (word == "--quick")
+      options.quick = true;
+    else if (word == "--seed")
+      options.seed = std::stoull(value());
+    else if (word == "--only")
+      options.only = value();
+    else if (word == "-o")
+      options.csv = value();
+    else if (word[0] != '-' && options.car.empty())
+      options.car = word;
+    else
+      throw std::runtime_error(word + ": unknown; call it without arguments for its usage.");
+  }
+  return options;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    const Options options = read_options(argc, argv);
+    if (options.car.empty() || options.csv.empty()) {
+      std::fprintf(stderr,
+                   "usage: crumple_stability CAR [--quick] [--seed N] [--only TEXT] -o CSV\n"
+                   "  --quick  20 random scenes and 1,000 ticks of rubbing instead of 1,000 and 1,000,000\n"
+                   "  --only   cells whose \"METHOD: START\" contains TEXT\n");
+      return 2;
+    }
+    write_matrix(options);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "crumple_stability: %s\n", error.what());
+    return 1;
+  }
+}
