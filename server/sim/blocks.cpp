@@ -8,8 +8,6 @@
 namespace crumple {
 namespace {
 
-constexpr size_t sorting_window = 256;  // nodes near in space, among which those with as many tets are put side by side
-
 // Greedy, in the model's spatial order: the first colour that no neighbour has.
 std::vector<uint8_t> colour_of(const Model& model) {
   std::vector<uint8_t> colour(model.node.size(), 255);
@@ -59,6 +57,30 @@ void add_block(const Model& model, const uint32_t* node, size_t count, Blocks& o
   out.row.push_back(uint32_t(out.rows.size()));
 }
 
+void list_neighbours(const Model& model, Blocks& out) {
+  const size_t count = out.anchored.size();
+  std::vector<uint32_t> block_seen(count, UINT32_MAX), group_seen(out.group.size(), UINT32_MAX);
+  out.near_first = out.over_first = {0};
+  for (uint32_t block = 0; block < count; ++block) {
+    for (size_t lane = 0; lane < lanes; ++lane) {
+      const uint32_t i = out.node[lanes * block + lane];
+      if (i >= model.node.size()) continue;
+      for (uint32_t k = model.node_first[i]; k < model.node_first[i + 1]; ++k) {
+        const uint32_t tet = model.corner[k] / 4;
+        if (group_seen[tet / lanes] != block) out.over.push_back(tet / lanes);
+        group_seen[tet / lanes] = block;
+        for (uint32_t other : model.tet[tet].node) {
+          const uint32_t near = out.place[other] / lanes;
+          if (near != block && !out.anchored[near] && block_seen[near] != block) out.near.push_back(near);
+          block_seen[near] = block;
+        }
+      }
+    }
+    out.near_first.push_back(uint32_t(out.near.size()));
+    out.over_first.push_back(uint32_t(out.over.size()));
+  }
+}
+
 }  // namespace
 
 Blocks make_blocks(const Model& model) {
@@ -73,12 +95,6 @@ Blocks make_blocks(const Model& model) {
   out.rows.reserve(model.corner.size() / lanes * 5 / 4);
   for (size_t list = 0; list < nodes.size(); ++list) {
     std::vector<uint32_t>& all = nodes[list];
-    for (size_t begin = 0; begin < all.size(); begin += sorting_window) {
-      const size_t end = std::min(all.size(), begin + sorting_window);
-      std::stable_sort(all.begin() + begin, all.begin() + end, [&](uint32_t a, uint32_t b) {
-        return model.node_first[a + 1] - model.node_first[a] < model.node_first[b + 1] - model.node_first[b];
-      });
-    }
     for (size_t begin = 0; begin < all.size(); begin += lanes) {
       add_block(model, &all[begin], std::min<size_t>(lanes, all.size() - begin), out);
     }
@@ -91,6 +107,7 @@ Blocks make_blocks(const Model& model) {
       out.group[t / lanes].node[k][t % lanes] = t < model.tet.size() ? model.tet[t].node[k] : uint32_t(model.node.size());
     }
   }
+  list_neighbours(model, out);
   return out;
 }
 

@@ -32,6 +32,9 @@ struct Blocks {
   std::vector<uint32_t> slot;   // 4 t: 16 * row + lane where corner k of tet i is node: slot[4 i + k]
   std::vector<uint32_t> place;  // n: 16 * block + lane of node i
   std::vector<TetGroup> group;  // ceil(t / 16), tets in the model's order
+  // Who must know when block i moves: near[near_first[i] .. near_first[i + 1]), blocks not anchored with a neighbour of its
+  // nodes; over[over_first[i] ..), groups with a tet of its nodes.
+  std::vector<uint32_t> near_first, near, over_first, over;
 };
 
 Blocks make_blocks(const Model&);

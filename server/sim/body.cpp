@@ -98,6 +98,7 @@ uint64_t hash(const Body& body) {
                             double(body.reach),
                             double(body.touching),
                             double(body.settled),
+                            double(body.lost),
                             double(body.history.count),
                             double(body.history.next),
                             body.force.x(),

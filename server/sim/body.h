@@ -26,6 +26,7 @@ struct Body {
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
   bool touching = false;  // some node was held by an obstacle in the last sub-step
+  bool lost = false;      // its shape is one that no crash makes: it springs back before anything flows
   bool settled = true;    // nothing moved in the last sub-step: costs nothing until touched
 };
 

@@ -9,7 +9,6 @@
 namespace crumple {
 namespace {
 
-constexpr float settle_speed = 2e-3f;      // m/s: slower than this everywhere, a body no obstacle pushes is left alone
 constexpr float wake_depth = 1e-4f;        // m: and it is woken by an obstacle this deep in it
 constexpr float shortest_substep = 0.01f;  // of a whole one, where the first is cut to the touch
 
@@ -195,6 +194,7 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
   }
   if (!scratch.prepared) {
     keep(model, scratch, body);
+    scratch.team.gather();
     prepare_nodal(model, parameters, body, scratch);
   }
   const float h = float(now.seconds) * (body.touching ? 1 : after_touch(scratch.contacts));
@@ -273,6 +273,7 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
     for (int k = 0; k < count; ++k) {
       last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, timer);
     }
+    scratch.team.leave();
     if (response.substeps > 0) body.stored = stored_energy(model, parameters, scratch, body);
   }
   if (scratch.prepared && !finite(body, motion)) {
@@ -285,7 +286,7 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
     response.recovered = true;
   }
   if (response.substeps > 0) measure_reach(model, body);
-  if (body.settled) body.history = {};
+  if (body.settled) body.history = {}, body.lost = false;
   return response;
 }
 

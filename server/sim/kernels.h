@@ -44,6 +44,11 @@ struct NodeView {
   const Weights* weights;   // per row
   const uint16_t* still;    // per block: lanes that do not move freely
   const uint16_t* touched;  // per block: lanes that an obstacle may hold: `resolve` moves them
+  // Blocks asleep are passed by. One whose node is farther than `quiet` (m) from where it was before wakes those around it.
+  uint8_t* awake;                                         // per block
+  uint8_t* stirred;                                       // per group of tets: one of its blocks is awake
+  const uint32_t *near_first, *near, *over_first, *over;  // of Blocks
+  float quiet;
   float relaxation;
   bool measure;  // nothing moves; `resolve` is called as ever
   // gradient N; hessian N/m: xx yy zz xy xz yz
@@ -55,8 +60,9 @@ struct TetView {
   const Quad* node;  // n + 1
   const TetGroup* group;
   const TetLanes* tet;
-  const uint8_t* region;  // t, padded to whole groups
-  const Law* law;         // per region
+  const uint8_t* region;   // t, padded to whole groups
+  const Law* law;          // per region
+  const uint8_t* stirred;  // per group; the others are passed by
 };
 
 struct Kernels {

@@ -69,18 +69,34 @@ CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& b) {
           (xz * g.x + yz * g.y + zz * g.z) * scale};
 }
 
+// Flags are set by blocks of one colour, perhaps at the same time, and read by blocks of another.
+CRUMPLE_INLINE void wake_around(const NodeView& v, uint32_t block) {
+  for (uint32_t k = v.near_first[block]; k < v.near_first[block + 1]; ++k) {
+    const uint32_t near = v.near[k];
+    if (__atomic_load_n(&v.awake[near], __ATOMIC_RELAXED)) continue;
+    __atomic_store_n(&v.awake[near], uint8_t(1), __ATOMIC_RELAXED);
+    for (uint32_t o = v.over_first[near]; o < v.over_first[near + 1]; ++o) {
+      __atomic_store_n(&v.stirred[v.over[o]], uint8_t(1), __ATOMIC_RELAXED);
+    }
+  }
+}
+
 template <int N>
 void visit(const NodeView& v, uint32_t first, uint32_t last) {
   for (uint32_t block = first; block < last; ++block) {
+    if (!v.awake[block]) continue;
     const unsigned still = v.still[block], touched = v.touched[block];
     if ((v.measure || still == 0xffff) && touched == 0) continue;
+    bool moved = touched != 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const uint32_t* index = &v.index[lanes * block + lane];
-      const Quads<N> position = gather<N>(v.node, index);
-      const Block<N> b = gather_block<N>(v, block, lane, position.xyz(), gather<N>(v.before, index));
+      const Quads<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
+      const Block<N> b = gather_block<N>(v, block, lane, position.xyz(), before);
       if (!v.measure) {
         const Vec3s<N> target = position.xyz() - solve<N>(b) * broadcast<N>(v.relaxation);
         scatter<N>(target, v.node, index, still >> lane);
+        const Vec3s<N> way = target - before.xyz();
+        moved = moved || (bits<N>(dot(way, way) > broadcast<N>(v.quiet * v.quiet)) & ~(still >> lane)) != 0;
       }
       if (touched >> lane == 0) continue;
       for (int k = 0; k < N; ++k) {
@@ -89,6 +105,10 @@ void visit(const NodeView& v, uint32_t first, uint32_t last) {
         const float hessian[6] = {b.xx[k], b.yy[k], b.zz[k], b.xy[k], b.xz[k], b.yz[k]};
         v.resolve(v.context, index[k], gradient, hessian);
       }
+    }
+    if (v.awake[block] == 1 && moved) {
+      wake_around(v, block);
+      v.awake[block] = 2;  // once is enough
     }
   }
 }
@@ -200,6 +220,7 @@ template <int N>
 uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing) {
   uint32_t lost = 0;
   for (uint32_t g = first; g < last; ++g) {
+    if (!v.stirred[g]) continue;
     const bool changes = flowing[g] != 0;  // since the last time, or all were elastic and may still be
     unsigned beyond = 0;
     for (int lane = 0; lane < lanes; lane += N) {
@@ -245,6 +266,7 @@ void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffnes
   for (uint32_t begin = first; begin < last; begin += together) {
     Floats<N> sum[lanes / N][6] = {};
     for (uint32_t g = begin; g < last && g < begin + together; ++g) {
+      if (!v.stirred[g]) continue;
       for (int part = 0; part < lanes / N; ++part) {
         const int lane = part * N;
         const Edges<N> f = edges_of<N>(direction, v.group[g], lane);
@@ -342,7 +364,8 @@ template <int N>
 double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uint16_t* flowing) {
   double work = 0;
   for (uint32_t g = first; g < last; ++g) {
-    unsigned all = flowing[g];
+    unsigned all = v.stirred[g] ? flowing[g] : 0;
+    if (all == 0) continue;
     for (int lane = 0; lane < lanes; lane += N) {
       const unsigned part = all >> lane & ((1u << N) - 1);
       if (part == 0) continue;

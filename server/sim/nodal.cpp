@@ -150,7 +150,7 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
   }
 }
 
-NodeView node_view(const Blocks& blocks, Scratch& scratch, Solve& solve) {
+NodeView node_view(const Blocks& blocks, float quiet, Scratch& scratch, Solve& solve) {
   return {scratch.node.data(),
           scratch.before.data(),
           scratch.rest.data(),
@@ -162,6 +162,13 @@ NodeView node_view(const Blocks& blocks, Scratch& scratch, Solve& solve) {
           scratch.weights.data(),
           scratch.still.data(),
           scratch.touched.data(),
+          scratch.awake.data(),
+          scratch.stirred.data(),
+          blocks.near_first.data(),
+          blocks.near.data(),
+          blocks.over_first.data(),
+          blocks.over.data(),
+          quiet,
           relaxation,
           false,
           resolve,
@@ -169,26 +176,56 @@ NodeView node_view(const Blocks& blocks, Scratch& scratch, Solve& solve) {
 }
 
 TetView tet_view(const Blocks& blocks, const Scratch& scratch) {
-  return {scratch.node.data(), blocks.group.data(), scratch.tets.data(), scratch.region.data(), scratch.law.data()};
+  return {scratch.node.data(),   blocks.group.data(), scratch.tets.data(),
+          scratch.region.data(), scratch.law.data(),  scratch.stirred.data()};
 }
 
-uint32_t renew_stiffness(const Blocks& blocks, Scratch& scratch) {
-  return kernels().renew(tet_view(blocks, scratch), 0, uint32_t(blocks.group.size()), scratch.stiffness.data(),
-                         scratch.flowing.data());
+// Pieces of work: a microsecond or two.
+constexpr uint32_t blocks_at_once = 2, groups_at_once = 64;
+
+// work(first, last, sums) on all groups of tets, piece by piece; what the pieces sum up is added in their order, so that it
+// does not matter who did them.
+template <class Work>
+std::array<double, 6> sum_over_groups(const Blocks& blocks, Scratch& scratch, const Work& work) {
+  const uint32_t groups = uint32_t(blocks.group.size());
+  scratch.sums.assign((groups + groups_at_once - 1) / groups_at_once, {});
+  scratch.team.run(0, groups, groups_at_once, [&](uint32_t first, uint32_t last) {
+    for (; first < last; first += groups_at_once) {  // without helpers the whole range comes at once
+      work(first, std::min(last, first + groups_at_once), scratch.sums[first / groups_at_once].data());
+    }
+  });
+  std::array<double, 6> total = {};
+  for (const auto& sum : scratch.sums) {
+    for (int k = 0; k < 6; ++k) total[k] += sum[k];
+  }
+  return total;
+}
+
+// Returns how many tets have lost their shape.
+double renew_stiffness(const Blocks& blocks, Scratch& scratch) {
+  const TetView view = tet_view(blocks, scratch);
+  return sum_over_groups(blocks, scratch, [&](uint32_t first, uint32_t last, double* sum) {
+    sum[0] = kernels().renew(view, first, last, scratch.stiffness.data(), scratch.flowing.data());
+  })[0];
 }
 
 // A body that has lost its shape (a state from elsewhere, a shape no crash makes) first springs back to the last one it had:
-// nothing flows in this sub-step. Flow would keep what was never there.
-void suspend_flow(const Blocks& blocks, uint32_t lost, uint32_t tets, Scratch& scratch) {
-  const bool suspended = float(lost) > lost_share * float(tets);
-  for (Law& law : scratch.law) law.room = suspended ? 0.0f : law.limit;
-  if (!suspended) return;
+// nothing flows until it has come to rest, or is sound again and an obstacle holds it. Flow would keep what was never there.
+void suspend_flow(const Blocks& blocks, double lost, size_t tets, Scratch& scratch, Body& body) {
+  if (lost > lost_share * double(tets)) body.lost = true;
+  if (lost == 0 && !scratch.contacts.empty()) body.lost = false;
+  for (Law& law : scratch.law) law.room = body.lost ? 0.0f : law.limit;
+  if (!body.lost) return;
   std::fill(scratch.flowing.begin(), scratch.flowing.end(), uint16_t(0xffff));
+  std::fill(scratch.stirred.begin(), scratch.stirred.end(), uint8_t(1));
   renew_stiffness(blocks, scratch);
 }
 
-void sweep(const Blocks& blocks, const NodeView& view) {
-  for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernels().visit(view, blocks.colour[c], blocks.colour[c + 1]);
+void sweep(const Blocks& blocks, const NodeView& view, Team& team) {
+  for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) {
+    team.run(blocks.colour[c], blocks.colour[c + 1], blocks_at_once,
+             [&](uint32_t first, uint32_t last) { kernels().visit(view, first, last); });
+  }
 }
 
 // Moves all nodes along scratch.direction by the factor in [0, most] that lowers the energy most. Along the line the energy is
@@ -202,8 +239,11 @@ void search_line(const Blocks& blocks, double most, Scratch& scratch) {
     derivative[1] += double((drag + anchor) * direction.squaredNorm());
     derivative[0] += double(direction.dot(pull));
   }
-  kernels().slope(tet_view(blocks, scratch), 0, uint32_t(blocks.group.size()), scratch.stiffness.data(),
-                  scratch.direction.data(), derivative);
+  const TetView view = tet_view(blocks, scratch);
+  const auto elastic = sum_over_groups(blocks, scratch, [&](uint32_t first, uint32_t last, double* sum) {
+    kernels().slope(view, first, last, scratch.stiffness.data(), scratch.direction.data(), sum);
+  });
+  for (int k = 0; k < 6; ++k) derivative[k] += elastic[k];
   const auto slope = [&](double a) {
     double sum = 0;
     for (int k = 5; k >= 0; --k) sum = sum * a + derivative[k];
@@ -224,7 +264,10 @@ void search_line(const Blocks& blocks, double most, Scratch& scratch) {
 // Sub-steps of a crash resemble one another: start from the last displacement, as much of it as lowers the energy.
 // Nodes in contact go where the obstacle takes them first.
 void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
-  for (size_t i = 0; i < body.step.size(); ++i) scratch.direction[i] = quad(share * body.step[i], 0);
+  for (size_t i = 0; i < body.step.size(); ++i) {
+    const bool awake = scratch.awake[blocks.place[i] / lanes];
+    scratch.direction[i] = awake ? quad(share * body.step[i], 0) : Quad{};
+  }
   for (const Contact& contact : scratch.contacts) {
     const Vec3 position = vec(scratch.node[contact.node]);
     const float depth = std::max(0.0f, contact.offset - contact.normal.dot(position));
@@ -232,6 +275,14 @@ void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
     scratch.direction[contact.node] = {};
   }
   search_line(blocks, 1, scratch);
+}
+
+// Mixing knows of blocks that have come to rest since; they stay where they were.
+void keep_asleep(const Blocks& blocks, Scratch& scratch) {
+  for (size_t block = 0; block < scratch.awake.size(); ++block) {
+    if (scratch.awake[block]) continue;
+    for (size_t k = lanes * block; k < lanes * (block + 1); ++k) scratch.node[blocks.node[k]] = scratch.from[blocks.node[k]];
+  }
 }
 
 // Springs for the anchored nodes that obstacles reach; together at most `most` N/m.
@@ -262,12 +313,33 @@ void mark_lanes(const Blocks& blocks, Scratch& scratch) {
   for (size_t block = 0; block < blocks.anchored.size(); ++block) {
     scratch.still[block] = blocks.anchored[block] ? uint16_t(0xffff) : blocks.unused[block];
     scratch.touched[block] = 0;
+    scratch.awake[block] = 0;
   }
   for (const Contact& contact : scratch.contacts) {
     const uint32_t place = blocks.place[contact.node];
     const uint16_t bit = uint16_t(1u << (place % lanes));
     scratch.still[place / lanes] |= bit;
     scratch.touched[place / lanes] |= bit;
+    scratch.awake[place / lanes] = 1;
+  }
+}
+
+// Who takes part in this sub-step from its start: what an obstacle may hold, and what moved in the last one. All of it where
+// that says too little: a lost shape, a body from elsewhere or partly repaired, one that an obstacle has just let go.
+void rouse(const Blocks& blocks, float quiet, Scratch& scratch, const Body& body) {
+  bool moved = false;
+  for (size_t i = 0; i < body.step.size(); ++i) {
+    if (body.step[i].squaredNorm() <= quiet * quiet) continue;
+    moved = true;
+    scratch.awake[blocks.place[i] / lanes] = 1;
+  }
+  const bool all = body.lost || (!moved && (scratch.contacts.empty() || !body.settled));
+  std::fill(scratch.stirred.begin(), scratch.stirred.end(), uint8_t(0));
+  for (size_t block = 0; block < scratch.awake.size(); ++block) {
+    if (all) scratch.awake[block] = 1;
+    if (blocks.anchored[block] && scratch.touched[block] == 0) scratch.awake[block] = 0;
+    if (!scratch.awake[block]) continue;
+    for (uint32_t k = blocks.over_first[block]; k < blocks.over_first[block + 1]; ++k) scratch.stirred[blocks.over[k]] = 1;
   }
 }
 
@@ -298,6 +370,8 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
   scratch.tets.assign(blocks.group.size(), TetLanes{});
   scratch.weights.assign(blocks.rows.size(), Weights{});
   scratch.flowing.assign(blocks.group.size(), 0xffff);
+  scratch.stirred.assign(blocks.group.size(), 1);  // all, once
+  scratch.awake.resize(blocks.anchored.size());
   scratch.still.resize(blocks.anchored.size());
   scratch.touched.resize(blocks.anchored.size());
   scratch.region.assign(padded, model.tet_region[t - 1]);
@@ -331,34 +405,42 @@ void solve_nodal(const Model& model, const Parameters& parameters, double mass, 
     scratch.node[i] = quad(body.node[i], 0);
   }
   stiffen_anchors(model, parameters, anchor_share * float(mass) / (h * h), scratch);
+  const float quiet = settle_speed * h;
+  suspend_flow(blocks, renew_stiffness(blocks, scratch), model.tet.size(), scratch, body);
   mark_lanes(blocks, scratch);
+  rouse(blocks, quiet, scratch, body);
   Solve solve{model, scratch};
-  NodeView view = node_view(blocks, scratch, solve);
-  suspend_flow(blocks, renew_stiffness(blocks, scratch), uint32_t(model.tet.size()), scratch);
+  NodeView view = node_view(blocks, quiet, scratch, solve);
   predict(blocks, share, scratch, body);
   begin_mixing(scratch);
   // One step of the mixing: as many sweeps as leave its memory longer than a sub-step, at least two between new moduli.
   const int together = std::max(2, (parameters.iterations + mixing_depth - 1) / mixing_depth);
   for (int k = 0; k < parameters.iterations; ++k) {
     if (k % together == 0) {
-      if (k > 0) mix(scratch, body.history);
+      if (k > 0) {
+        mix(scratch, body.history);
+        keep_asleep(blocks, scratch);
+      }
       scratch.from = scratch.node;
     }
     if (k % together % 2 == 0) renew_stiffness(blocks, scratch);
-    sweep(blocks, view);
+    sweep(blocks, view, scratch.team);
   }
   renew_stiffness(blocks, scratch);
   view.measure = true;
   view.resolve = measure;
-  sweep(blocks, view);
+  sweep(blocks, view, scratch.team);
   for (uint32_t i = 0; i < count; ++i) body.node[i] = vec(scratch.node[i]);
 }
 
 double flow_nodal(const Model& model, Scratch& scratch, Body& body) {
   const Blocks& blocks = *model.blocks;
-  double work =
-      kernels().flow(tet_view(blocks, scratch), scratch.tets.data(), 0, uint32_t(blocks.group.size()), scratch.flowing.data());
+  const TetView view = tet_view(blocks, scratch);
+  double work = sum_over_groups(blocks, scratch, [&](uint32_t first, uint32_t last, double* sum) {
+    sum[0] = kernels().flow(view, scratch.tets.data(), first, last, scratch.flowing.data());
+  })[0];
   for (uint32_t group = 0; group < blocks.group.size(); ++group) {
+    if (!scratch.stirred[group]) continue;
     for (unsigned left = scratch.flowing[group]; left != 0; left &= left - 1) {
       const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
       const TetLanes& tet = scratch.tets[group];

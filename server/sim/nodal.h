@@ -9,14 +9,16 @@
 
 namespace crumple {
 
-inline constexpr float relaxation = 1.5f;
+inline constexpr float relaxation = 1.7f;
 // An anchored node that an obstacle reaches yields like a spring this many times as stiff as its tets: contacts always win.
 inline constexpr float anchor_ratio = 30.0f;
 // All those springs together are no stiffer than this share of (car's mass) / h^2: the rigid motion is stepped explicitly.
 inline constexpr float anchor_share = 0.25f;
 
+// m/s: a node that is slower is at rest, and its block is not solved; nor is a body all of whose nodes are.
+inline constexpr float settle_speed = 2e-3f;
 // Of all tets: when more have lost their shape, none flows.
-inline constexpr float lost_share = 0.002f;
+inline constexpr double lost_share = 0.002;
 
 // Before the first sub-step of a tick: the car's state as the kernels want it.
 void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
