@@ -86,7 +86,10 @@ void advance_cars(World& world, int threads) {
         tbb::blocked_range<size_t>(0, cars.size(), 1),
         [&](const tbb::blocked_range<size_t>& range) {
           Worker& worker = world.workers.local();
-          for (size_t i = range.begin(); i < range.end(); ++i) advance_car(world, *cars[i], worker);
+          // While a car waits for its helpers this thread must not begin another car with the same memory.
+          tbb::this_task_arena::isolate([&] {
+            for (size_t i = range.begin(); i < range.end(); ++i) advance_car(world, *cars[i], worker);
+          });
         },
         tbb::simple_partitioner{});
   });

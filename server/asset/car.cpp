@@ -16,6 +16,7 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include "asset/make_blocks.h"
 #include "schema/car_generated.h"
 
 namespace crumple {
@@ -195,6 +196,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   };
   check(car->model, car->regions.size(), name);
   car->blocks = make_blocks(car->model);
+  if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours, each next to all others");
   car->model.blocks = &car->blocks;
 
   char hash[17];

@@ -8,8 +8,6 @@
 
 namespace crumple {
 
-struct Model;
-
 inline constexpr int lanes = 16;
 
 // Of each lane's node one tet: its other corners, so ordered that the volume they span with the node is positive at rest.
@@ -36,7 +34,5 @@ struct Blocks {
   // nodes; over[over_first[i] ..), groups with a tet of its nodes.
   std::vector<uint32_t> near_first, near, over_first, over;
 };
-
-Blocks make_blocks(const Model&);
 
 }  // namespace crumple

@@ -99,6 +99,8 @@ uint64_t hash(const Body& body) {
                             double(body.touching),
                             double(body.settled),
                             double(body.lost),
+                            double(body.drift),
+                            double(body.step_seconds),
                             double(body.history.count),
                             double(body.history.next),
                             body.force.x(),

@@ -14,6 +14,7 @@ namespace crumple {
 struct Body {
   std::vector<Vec3> node;            // positions, car's frame, m
   std::vector<Vec3> step;            // displacement of the last sub-step, m: the predictor's history
+  float step_seconds = 0;            // that it took; 0: none was made yet
   std::vector<Gradients> gradients;  // per tet: rest gradients after plastic flow, 1/m
   std::vector<float> hardening;      // per tet: accumulated plastic strain
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
@@ -26,6 +27,7 @@ struct Body {
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
   bool touching = false;  // some node was held by an obstacle in the last sub-step
+  float drift = 0;        // way of the obstacles along a settled body since it settled, m
   bool lost = false;      // its shape is one that no crash makes: it springs back before anything flows
   bool settled = true;    // nothing moved in the last sub-step: costs nothing until touched
 };

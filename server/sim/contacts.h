@@ -42,7 +42,7 @@ struct Candidates {
   std::vector<uint32_t> node;
 };
 
-// The coarse test and the choice of candidates, once a tick. `travel`: the car's and the obstacles' steady motions.
+// The coarse test and the choice of candidates, once a tick, from the car's and the obstacles' steady motions.
 void find_candidates(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds,
                      std::vector<Candidates>& out);
 

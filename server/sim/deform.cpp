@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "sim/classic.h"
 #include "sim/nodal.h"
@@ -37,13 +38,17 @@ float after_touch(std::span<const Contact> contacts) {
   return earliest < 1 ? std::max(shortest_substep, 1 - earliest) : 1;
 }
 
-// A settled body wakes when an obstacle enters it, and when the one that it rests against moves or leaves.
-bool woken(const Body& body, std::span<const Contact> contacts) {
+// A settled body wakes when an obstacle enters it, and when the one that it rests against has moved on or leaves.
+bool woken(double h, std::span<const Contact> contacts, Body& body) {
   if (!body.settled) return true;
-  if (body.touching && contacts.empty()) return true;
-  return std::any_of(contacts.begin(), contacts.end(), [&](const Contact& c) {
-    return body.touching ? std::fabs(c.after - c.before) > wake_depth : c.after < -wake_depth;
-  });
+  if (!body.touching) {
+    return std::any_of(contacts.begin(), contacts.end(), [](const Contact& c) { return c.after < -wake_depth; });
+  }
+  if (contacts.empty()) return true;
+  float most = 0;
+  for (const Contact& c : contacts) most = std::max(most, (c.carried - body.node[c.node]).norm());
+  if (double(most) > double(settle_speed) * h) body.drift += most;
+  return body.drift > wake_depth;
 }
 
 // A body that holds numbers that are not finite has lost its shape there: those nodes and tets are as baked again.
@@ -59,6 +64,12 @@ void heal(const Model& model, Body& body) {
     if (sound) continue;
     body.gradients[t] = model.gradients[t];
     body.hardening[t] = 0;
+  }
+  for (size_t e = 0; e < body.edge_rest.size(); ++e) {
+    if (!std::isfinite(body.edge_rest[e])) body.edge_rest[e] = model.edge_rest[e];
+  }
+  for (size_t t = 0; t < body.tet_rest.size(); ++t) {
+    if (!std::isfinite(body.tet_rest[t])) body.tet_rest[t] = model.tet_rest[t];
   }
   if (!std::isfinite(body.absorbed)) body.absorbed = 0;
   if (!std::isfinite(body.stored)) body.stored = 0;
@@ -136,6 +147,8 @@ void settle(float h, std::span<const Vec3> before, Body& body) {
     most = std::max(most, body.step[i].squaredNorm());
   }
   body.settled = most <= settle_speed * settle_speed * h * h;
+  body.step_seconds = h;
+  body.drift = 0;
 }
 
 // How many the tick needs; see substep_seconds.
@@ -164,7 +177,7 @@ int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obs
 void keep(const Model& model, Scratch& scratch, Body& body) {
   scratch.prepared = true;
   scratch.contact_first.assign(model.node.size(), 0);
-  History history = std::move(body.history);  // nothing to go back to if the tick fails
+  History history = std::exchange(body.history, {});  // nothing to go back to if the tick fails
   scratch.backup = body;
   body.history = std::move(history);
 }
@@ -185,8 +198,12 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
     }
   }
   motion.pose = to;
-  if (!woken(body, scratch.contacts)) {
-    if (!body.touching) {  // else the obstacle presses on a body that has come to rest under it
+  if (!woken(now.seconds, scratch.contacts, body)) {
+    if (body.touching) {  // the obstacle presses on a body that has come to rest under it
+      push(now.seconds * body.force, now.seconds * body.moment, mass, motion);
+      response.impulse += now.seconds * body.force;
+      response.angular_impulse += now.seconds * body.moment;
+    } else {
       body.force.setZero();
       body.moment.setZero();
     }
@@ -226,7 +243,9 @@ void tick_classic(const Model& model, const Parameters& parameters, const Mass& 
         !find_contacts(body, obstacles, scratch.candidates, motion.pose, to, 0, seconds, scratch.contacts);
   }
   motion.pose = to;
-  if (!woken(body, scratch.contacts)) return;
+  body.force.setZero();  // `classic` knows no forces
+  body.moment.setZero();
+  if (!woken(seconds, scratch.contacts, body)) return;
   keep(model, scratch, body);
   const RoomTimer room(timer, Room::solve);
   scratch.start = body.node;
@@ -269,7 +288,7 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
   } else {
     const int count = substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
     const double h = seconds / count;
-    float last = float(h);
+    float last = body.step_seconds > 0 ? body.step_seconds : float(h);
     for (int k = 0; k < count; ++k) {
       last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, timer);
     }

@@ -33,6 +33,11 @@ double exp_of(double x) {
   return std::ldexp(sum, int(k));
 }
 
+// Never below a strain of 1e-5: without any yield stress a tet would be a fluid.
+float yield_of(const YieldLaw& law, float kappa) {
+  return std::max(law.start + law.slope * kappa, 1e-5f * std::max(law.shear, law.bulk));
+}
+
 }  // namespace
 
 Elastic elastic(const Material& material) {
@@ -51,7 +56,7 @@ YieldLaw yield_law(const Material& material) {
 
 float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float kappa) {
   const float norm = std::sqrt(deviator * deviator + mean * mean);
-  const float yield = law.start + law.slope * kappa;
+  const float yield = yield_of(law, kappa);
   const float room = law.limit - kappa;
   if (!(norm > yield) || !(room > 0)) return 0;
   const float stiffest = std::max(law.shear, law.bulk);
@@ -84,7 +89,7 @@ Elastic secant(const Elastic& e, const YieldLaw& law, const Mat3& f, float kappa
   const float mean = e.mu * left.trace() / 3 + pressure_like;
   const float deviator2 = e.mu * e.mu * std::max(0.0f, left.squaredNorm() - left.trace() * left.trace() / 3);
   const float total2 = deviator2 + 3 * mean * mean;
-  const float yield = law.start + law.slope * kappa;
+  const float yield = yield_of(law, kappa);
   if (total2 <= yield * yield) return e;
   const float d = plastic_multiplier(law, std::sqrt(deviator2), std::sqrt(3.0f) * std::fabs(mean), kappa);
   const float mu = e.mu / (1 + law.shear * d);
@@ -116,7 +121,7 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
     const double j = stretch.prod();
     norm = ((e.mu * stretch.cwiseAbs2()).array() + e.l * (j - e.gamma) * j).matrix().norm();
     grown = (trial - strain).norm();
-    return std::min((norm - law.start - law.slope * (kappa + grown)) / law.shear, room - grown);
+    return std::min((norm - double(yield_of(law, kappa + float(grown)))) / law.shear, room - grown);
   };
   double low = 0, high = 1, below = excess(0), above = excess(1);
   if (!(above > 0) || below > 0) return 0;

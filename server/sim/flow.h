@@ -34,6 +34,9 @@ inline Mat3 deformation(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3&
   return f;
 }
 
+// From here to `flow`: one tet at a time, plain and in part in double. The kernels (kernels.h) do the same for 16; these are
+// what they are compared with.
+
 // The plastic multiplier per stress, 1/Pa: the flowed stress is deviator / (1 + shear D) + mean / (1 + bulk D). 0: elastic.
 // deviator: its norm, Pa; mean: sqrt(3) |p|, Pa.
 float plastic_multiplier(const YieldLaw&, float deviator, float mean, float kappa);

@@ -76,9 +76,9 @@ struct Kernels {
   // Adds the derivative of the elastic energy along `direction`, sum derivative[k] a^k, of the groups [first, last).
   void (*slope)(const TetView&, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
                 double derivative[6]);
-  // Plastic flow of the lanes `flowing` (flow.h), from which those that stay elastic after all are taken. Changes gradients and
+  // Plastic flow (flow.h) of the lanes `flowing`, as far as they are beyond yield and not inverted. Changes gradients and
   // kappa; returns the plastic work, J.
-  double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, uint16_t* flowing);
+  double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, const uint16_t* flowing);
   // Of mixing.h, on n quads, a multiple of four. Replaces residual by after - before and result by after; by how much they
   // changed goes out, and the square of the new residual's length, m^2.
   void (*compare)(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
@@ -89,7 +89,7 @@ struct Kernels {
   void (*combine)(const Quad* const* a, const float* scale, int count, size_t n, Quad* to);
 };
 
-// The widest that this processor has; or by name (scalar, avx2, avx512), nullptr if it lacks it: for tests.
+// The widest that this processor has; or by name (portable, avx2, avx512), nullptr if it lacks it: for tests.
 const Kernels& kernels();
 const Kernels* kernels(const char* name);
 

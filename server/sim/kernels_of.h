@@ -177,13 +177,19 @@ CRUMPLE_INLINE Matrices<N> deformation_of(const Edges<N>& e, const Vec3s<N>& ga,
   return {{e.a * ga.x + e.b * gb.x + e.c * gc.x, e.a * ga.y + e.b * gb.y + e.c * gc.y, e.a * ga.z + e.b * gb.z + e.c * gc.z}};
 }
 
+// Never below a strain of 1e-5: without any yield stress a tet would be a fluid.
+template <int N>
+CRUMPLE_INLINE Floats<N> yield_of(const LawLanes<N>& law, const Floats<N>& kappa) {
+  return larger(law.start + law.slope * kappa, 1e-5f * larger(law.shear, law.bulk));
+}
+
 // flow.h's plastic_multiplier; 0 where the tet stays elastic.
 template <int N>
 CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& deviator2, const Floats<N>& mean,
                                     const Floats<N>& kappa) {
   const Floats<N> norm = root<N>(deviator2 + 3.0f * mean * mean);
   const Floats<N> stiffest = larger(law.shear, law.bulk);
-  const Floats<N> yield = larger(law.start + law.slope * kappa, 1e-5f * stiffest);
+  const Floats<N> yield = yield_of<N>(law, kappa);
   const Floats<N> room = law.limit - kappa;
   Floats<N> d = (norm - yield) / (stiffest * yield + law.slope * norm);
   if (!law.isotropic) {
@@ -197,7 +203,7 @@ CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& dev
       const Floats<N> rest = 1.0f - law.slope * d;
       const Floats<N> value = left * rest - yield;
       const Floats<N> step = value / (slope * rest + left * law.slope);
-      d = value > 0.0f ? d + step : d;
+      d = (value > 0.0f) & (law.shear != law.bulk) ? d + step : d;
     }
   }
   const Floats<N> flowed = norm / (1.0f + stiffest * d);
@@ -208,13 +214,6 @@ CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& dev
 
 constexpr float lost_volume = 0.02f;  // share of its volume left
 constexpr float lost_stretch = 6;     // mean square of its stretches: four times as long, or two and a half in all directions
-
-// Square of the yield stress.
-template <int N>
-CRUMPLE_INLINE Floats<N> yield_of(const LawLanes<N>& law, const Floats<N>& kappa) {
-  const Floats<N> yield = larger(law.start + law.slope * kappa, 1e-5f * larger(law.shear, law.bulk));
-  return yield * yield;
-}
 
 template <int N>
 uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing) {
@@ -242,7 +241,8 @@ uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness,
       const Floats<N> mean = law.mu * third + law.l * (j - law.gamma) * j;
       const Floats<N> volume = load<N>(tet.volume + lane);
       lost += uint32_t(std::popcount(bits<N>(((j <= lost_volume) | (third > lost_stretch)) & (volume > 0.0f))));
-      if (!changes && !any<N>(deviator2 + 3.0f * mean * mean > yield_of<N>(law, load<N>(tet.kappa + lane)))) continue;
+      const Floats<N> yield = yield_of<N>(law, load<N>(tet.kappa + lane));
+      if (!changes && !any<N>(deviator2 + 3.0f * mean * mean > yield * yield)) continue;
       const Floats<N> d = multiplier<N>(law, deviator2, mean, load<N>(tet.kappa + lane));
       const Floats<N> mu = law.mu / (1.0f + law.shear * d);
       const Floats<N> l = (law.bulk / (1.0f + law.bulk * d) + mu) * (1.0f / 3);  // lambda + mu, from 3 K = 3 lambda + 2 mu
@@ -353,18 +353,18 @@ CRUMPLE_INLINE Flowed<N> flowed_at(const Trial<N>& t, const Floats<N>& s) {
   out.change = {(s - 1.0f) * t.deviator.x + fall, (s - 1.0f) * t.deviator.y + fall, (s - 1.0f) * t.deviator.z + fall};
   out.norm = root<N>(dot(tau, tau));
   out.grown = root<N>(dot(out.change, out.change));
-  out.excess = smaller((out.norm - law.start - law.slope * (t.kappa + out.grown)) / law.shear, t.room - out.grown);
+  out.excess = smaller((out.norm - yield_of<N>(law, t.kappa + out.grown)) / law.shear, t.room - out.grown);
   return out;
 }
 
-constexpr float close =
-    1e-6f;  // excess of stress over shear at which the root find stops: a ten-thousandth of the yield strain
+// Excess of stress over shear modulus at which the root find stops: a ten-thousandth of the yield strain.
+constexpr float root_tolerance = 1e-6f;
 
 template <int N>
-double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uint16_t* flowing) {
+double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, const uint16_t* flowing) {
   double work = 0;
   for (uint32_t g = first; g < last; ++g) {
-    unsigned all = v.stirred[g] ? flowing[g] : 0;
+    const unsigned all = v.stirred[g] ? flowing[g] : 0;
     if (all == 0) continue;
     for (int lane = 0; lane < lanes; lane += N) {
       const unsigned part = all >> lane & ((1u << N) - 1);
@@ -407,7 +407,7 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uin
         const Floats<N> next_above = too_much ? excess : 0.5f * above;
         below = too_much ? 0.5f * below : excess;
         above = next_above;
-        open &= magnitude<N>(excess) > close;
+        open &= magnitude<N>(excess) > root_tolerance;
       }
       const Flowed<N> now = flowed_at<N>(trial, share);
       // The factor axes diag(exp(change)) axes^T moves into the gradients.
@@ -421,11 +421,7 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uin
         changed[k] = g0 + ax * (grow.x * dot(ax, g0)) + ay * (grow.y * dot(ay, g0)) + az * (grow.z * dot(az, g0));
       }
       for (int k = 0; k < N; ++k) {
-        if (!(part >> k & 1)) continue;
-        if (!flows[k]) {
-          all &= ~(1u << (lane + k));
-          continue;
-        }
+        if (!(part >> k & 1) || !flows[k]) continue;
         work += double(volume[k]) * double(energy[k] > 0 ? energy[k] : 0.0f);
         tet.kappa[lane + k] = kappa[k];
         for (int corner = 0; corner < 3; ++corner) {
@@ -435,13 +431,12 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, uin
         }
       }
     }
-    flowing[g] = uint16_t(all);
   }
   return work;
 }
 
 // Sums in 16 lanes of single precision, 256 quads at a time, and these in double: the same for any N.
-constexpr size_t stretch = 1024;  // floats
+constexpr size_t floats_together = 1024;
 
 template <int N>
 struct Sum {
@@ -469,16 +464,17 @@ void compare(const Quad* after, const Quad* before, size_t n, Quad* residual, Qu
   const float *a = &after->x, *b = &before->x;
   float *f = &residual->x, *g = &result->x, *df = &residual_change->x, *dg = &result_change->x;
   *size = 0;
-  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
     Sum<N> sum;
-    rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch, [&](size_t i, int part) [[gnu::always_inline]] {
-      const Floats<N> now = load<N>(a + i), moved = now - load<N>(b + i);
-      store<N>(moved - load<N>(f + i), df + i);
-      store<N>(now - load<N>(g + i), dg + i);
-      store<N>(moved, f + i);
-      store<N>(now, g + i);
-      sum.part[part] += moved * moved;
-    });
+    rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
+              [&](size_t i, int part) [[gnu::always_inline]] {
+                const Floats<N> now = load<N>(a + i), moved = now - load<N>(b + i);
+                store<N>(moved - load<N>(f + i), df + i);
+                store<N>(now - load<N>(g + i), dg + i);
+                store<N>(moved, f + i);
+                store<N>(now, g + i);
+                sum.part[part] += moved * moved;
+              });
     *size += sum.total();
   }
 }
@@ -487,11 +483,11 @@ template <int N>
 void products(const Quad* first, const Quad* const* others, int count, size_t n, double* out) {
   for (int p = 0; p < count; ++p) out[p] = 0;
   const float* a = &first->x;
-  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
     for (int p = 0; p < count; ++p) {
       const float* b = &others[p]->x;
       Sum<N> sum;
-      rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch,
+      rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
                 [&](size_t i, int part) [[gnu::always_inline]] { sum.part[part] += load<N>(a + i) * load<N>(b + i); });
       out[p] += sum.total();
     }
@@ -501,11 +497,11 @@ void products(const Quad* first, const Quad* const* others, int count, size_t n,
 template <int N>
 void combine(const Quad* const* others, const float* scale, int count, size_t n, Quad* to) {
   float* a = &to->x;
-  for (size_t begin = 0; begin < 4 * n; begin += stretch) {
+  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
     for (int p = 0; p < count; ++p) {
       const float* b = &others[p]->x;
       const Floats<N> by = broadcast<N>(scale[p]);
-      rounds<N>(begin, 4 * n < begin + stretch ? 4 * n : begin + stretch,
+      rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
                 [&](size_t i, int) [[gnu::always_inline]] { store<N>(load<N>(a + i) + by * load<N>(b + i), a + i); });
     }
   }

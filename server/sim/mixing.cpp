@@ -11,15 +11,16 @@ constexpr double growth = 4;             // of the squared residual, beyond whic
 constexpr double regularisation = 1e-6;  // relative; sums are in single precision
 
 // Coefficients of the combination of changes that cancels most of f.
-Eigen::VectorXd combine(const History& history, const double* right) {
+using Weighting = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, mixing_depth, 1>;
+Weighting combine(const History& history, const double* right) {
   const int m = history.count;
-  Eigen::MatrixXd products(m, m);
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, mixing_depth, mixing_depth> products(m, m);
   for (int p = 0; p < m; ++p) {
     for (int q = 0; q < m; ++q) products(p, q) = history.products[p][q];
   }
   products.diagonal() *= 1 + regularisation;
   products.diagonal().array() += 1e-30;
-  return products.ldlt().solve(Eigen::Map<const Eigen::VectorXd>(right, m));
+  return products.ldlt().solve(Eigen::Map<const Weighting>(right, m));
 }
 
 }  // namespace
@@ -66,7 +67,7 @@ void mix(Scratch& scratch, History& history) {
   if (m == 0) return;
   double right[mixing_depth];
   kernel.products(scratch.residual.data(), changes, m, n, right);
-  const Eigen::VectorXd weight = combine(history, right);
+  const Weighting weight = combine(history, right);
   if (!weight.allFinite()) return;
   scratch.unmixed = scratch.node;
   scratch.mixed = true;
@@ -76,6 +77,16 @@ void mix(Scratch& scratch, History& history) {
     by[p] = -float(weight[p]);
   }
   kernel.combine(changes, by, m, n, scratch.node.data());
+}
+
+void end_mixing(Scratch& scratch, History& history) {
+  if (!scratch.mixed) return;
+  double size = 0;
+  kernels().compare(scratch.node.data(), scratch.from.data(), scratch.node.size(), scratch.residual.data(),
+                    scratch.result.data(), scratch.direction.data(), scratch.direction.data(), &size);
+  if (size <= growth * scratch.residual_size) return;
+  scratch.node = scratch.unmixed;
+  history.count = history.next = 0;
 }
 
 }  // namespace crumple

@@ -33,4 +33,7 @@ void begin_mixing(Scratch&);
 // If the last mixing made the residual more than twice as large it is undone and all is forgotten: sweeps alone always descend.
 void mix(Scratch&, History&);
 
+// After the last sweep of a sub-step: undoes the last mixing if it failed.
+void end_mixing(Scratch&, History&);
+
 }  // namespace crumple

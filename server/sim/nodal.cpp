@@ -74,11 +74,6 @@ Vec3 rub(const Contact& contact, const Block& block, const Mat3& inverse, const 
   return slip.dot(slid - stuck) > 0 ? slid : stuck;
 }
 
-struct Solve {
-  const Model& model;
-  Scratch& scratch;
-};
-
 Block block_of(const float gradient[3], const float h[6]) {
   Block block;
   block.gradient = {gradient[0], gradient[1], gradient[2]};
@@ -88,7 +83,7 @@ Block block_of(const float gradient[3], const float h[6]) {
 
 // A node that an obstacle may hold: the lowest point of its quadratic outside the obstacles.
 void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
-  Scratch& scratch = static_cast<Solve*>(context)->scratch;
+  Scratch& scratch = *static_cast<Scratch*>(context);
   const Block block = block_of(gradient, hessian);
   const Mat3 inverse = block.hessian.inverse();
   const Vec3 position = vec(scratch.node[node]);
@@ -127,20 +122,26 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
 
 // The gradient left on a node that contacts hold is their force; friction no more than the cone allows.
 void measure(void* context, uint32_t node, const float gradient[3], const float[6]) {
-  Scratch& scratch = static_cast<Solve*>(context)->scratch;
+  Scratch& scratch = *static_cast<Scratch*>(context);
   const Vec3 force(gradient[0], gradient[1], gradient[2]);
   const size_t first = scratch.contact_first[node] - 1;
   size_t last = first;
   int planes = 0;
-  while (last < scratch.contacts.size() && scratch.contacts[last].node == node) planes += scratch.held[last++].active;
+  Vec3 shares = Vec3::Zero();  // of all planes, each what lies along its normal
+  for (; last < scratch.contacts.size() && scratch.contacts[last].node == node; ++last) {
+    if (!scratch.held[last].active) continue;
+    const Vec3& normal = scratch.contacts[last].normal;
+    shares += std::max(0.0f, normal.dot(force)) * normal;
+    ++planes;
+  }
   for (size_t k = first; k < last; ++k) {
     const Contact& contact = scratch.contacts[k];
     Held& held = scratch.held[k];
     held.force.setZero();
     if (!held.active) continue;
     const float normal_force = std::max(0.0f, contact.normal.dot(force));
-    if (planes > 1) {  // share it: each plane takes what lies along its normal
-      held.force = normal_force / float(planes) * contact.normal;
+    if (planes > 1) {  // so scaled that together they give the force, however the planes lie to each other
+      held.force = normal_force * force.dot(shares) / std::max(shares.squaredNorm(), 1e-20f) * contact.normal;
       continue;
     }
     Vec3 tangential = force - contact.normal.dot(force) * contact.normal;
@@ -150,7 +151,7 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
   }
 }
 
-NodeView node_view(const Blocks& blocks, float quiet, Scratch& scratch, Solve& solve) {
+NodeView node_view(const Blocks& blocks, float quiet, Scratch& scratch) {
   return {scratch.node.data(),
           scratch.before.data(),
           scratch.rest.data(),
@@ -172,7 +173,7 @@ NodeView node_view(const Blocks& blocks, float quiet, Scratch& scratch, Solve& s
           relaxation,
           false,
           resolve,
-          &solve};
+          &scratch};
 }
 
 TetView tet_view(const Blocks& blocks, const Scratch& scratch) {
@@ -277,11 +278,14 @@ void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
   search_line(blocks, 1, scratch);
 }
 
-// Mixing knows of blocks that have come to rest since; they stay where they were.
-void keep_asleep(const Blocks& blocks, Scratch& scratch) {
+// Mixing also moves what has come to rest since, and anchored nodes that an obstacle has let go: they stay where they were.
+void keep_still(const Blocks& blocks, Scratch& scratch) {
   for (size_t block = 0; block < scratch.awake.size(); ++block) {
-    if (scratch.awake[block]) continue;
-    for (size_t k = lanes * block; k < lanes * (block + 1); ++k) scratch.node[blocks.node[k]] = scratch.from[blocks.node[k]];
+    unsigned keep = scratch.awake[block] ? unsigned(scratch.still[block] & ~scratch.touched[block]) : 0xffffu;
+    for (; keep != 0; keep &= keep - 1) {
+      const uint32_t node = blocks.node[lanes * block + uint32_t(std::countr_zero(keep))];
+      scratch.node[node] = scratch.from[node];
+    }
   }
 }
 
@@ -383,7 +387,7 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
     for (int k = 0; k < 9; ++k) tet.gradient[k][lane] = body.gradients[i].corner[k / 3][k % 3];
     tet.kappa[lane] = body.hardening[i];
     tet.volume[lane] = model.tet_rest[i];
-    scratch.volume += model.tet_rest[i];
+    scratch.volume += double(model.tet_rest[i]);
     weigh_tet(body, blocks, i, scratch);
   }
   scratch.law.resize(region_limit);
@@ -400,7 +404,7 @@ void solve_nodal(const Model& model, const Parameters& parameters, double mass, 
   const uint32_t count = uint32_t(body.node.size());
   for (uint32_t i = 0; i < count; ++i) {
     const Material& material = parameters.region[model.node_region[i]];
-    const float drag = material.viscosity * model.node_mass[i] / model.mass * scratch.volume / h;
+    const float drag = material.viscosity * model.node_mass[i] / model.mass * float(scratch.volume) / h;
     scratch.before[i] = quad(body.node[i], drag);
     scratch.node[i] = quad(body.node[i], 0);
   }
@@ -409,8 +413,7 @@ void solve_nodal(const Model& model, const Parameters& parameters, double mass, 
   suspend_flow(blocks, renew_stiffness(blocks, scratch), model.tet.size(), scratch, body);
   mark_lanes(blocks, scratch);
   rouse(blocks, quiet, scratch, body);
-  Solve solve{model, scratch};
-  NodeView view = node_view(blocks, quiet, scratch, solve);
+  NodeView view = node_view(blocks, quiet, scratch);
   predict(blocks, share, scratch, body);
   begin_mixing(scratch);
   // One step of the mixing: as many sweeps as leave its memory longer than a sub-step, at least two between new moduli.
@@ -419,13 +422,14 @@ void solve_nodal(const Model& model, const Parameters& parameters, double mass, 
     if (k % together == 0) {
       if (k > 0) {
         mix(scratch, body.history);
-        keep_asleep(blocks, scratch);
+        keep_still(blocks, scratch);
       }
       scratch.from = scratch.node;
     }
     if (k % together % 2 == 0) renew_stiffness(blocks, scratch);
     sweep(blocks, view, scratch.team);
   }
+  end_mixing(scratch, body.history);
   renew_stiffness(blocks, scratch);
   view.measure = true;
   view.resolve = measure;

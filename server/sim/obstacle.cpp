@@ -93,7 +93,8 @@ Plane separating_plane(const Obstacle& obstacle, const Vec3& point) {
 
 Pose advance(const Pose& pose, const Eigen::Vector3d& velocity, const Eigen::Vector3d& angular_velocity, double seconds) {
   const Eigen::Vector3d half = 0.5 * seconds * angular_velocity;
-  // First order in the quaternion, then normalised (Cayley): the angle is right to a third of its cube, and no sine is called.
+  // First order in the quaternion, then normalised (Cayley): the angle is right to a twelfth of its cube, and no sine is
+  // called.
   const Eigen::Quaterniond turn(1, half.x(), half.y(), half.z());
   return {pose.position + seconds * velocity, (turn * pose.orientation).normalized()};
 }

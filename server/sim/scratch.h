@@ -42,7 +42,7 @@ struct Scratch {
   std::vector<Quad> residual, result, unmixed;  // of the last step; nodes as the last sweep left them
   double residual_size = 0;                     // squared, m^2
   bool compared = false, mixed = false;         // there is a last step in this sub-step; it was mixed
-  float volume = 0;                             // of all tets at rest, m^3
+  double volume = 0;                            // of all tets at rest, m^3
   Team team;
   Body backup;            // as the tick found it
   bool prepared = false;  // the tick has begun to change the body
