@@ -91,34 +91,44 @@ void rates(const Car& car) {
   std::printf("\n");
 }
 
+void push_once(const Car& car, float friction, int sweeps) {
+  Run run(car);
+  run.mass.mass = std::numeric_limits<double>::infinity();
+  run.mass.inertia.setConstant(run.mass.mass);
+  run.parameters.iterations = uint16_t(sweeps);
+  run.wall.friction = friction;
+  run.place_wall(0);
+  run.wall.velocity = {-0.6, 0, 0};
+  for (int k = 0; k < 40; ++k) run.tick(60);
+  run.wall.velocity = {1.2, 0, 0};
+  for (int k = 0; k < 70 && !(k > 3 && run.body.settled); ++k) run.tick(60);
+  double rear = 0, bulge = 0;
+  for (size_t i = 0; i < run.body.node.size(); ++i) {
+    const Vec3 &rest = run.model.node[i], &now = run.body.node[i];
+    if (rest.x() < run.tail + 0.18 * (run.nose - run.tail)) rear = std::max(rear, double((now - rest).norm()));
+    bulge = std::max(bulge, double(std::fabs(now.y()) - std::fabs(rest.y())));
+  }
+  int inverted = 0;
+  for (const Tet& tet : run.model.tet) {
+    const auto& n = run.body.node;
+    const Vec3 &a = n[tet.node[0]], b = n[tet.node[1]] - a, c = n[tet.node[2]] - a, d = n[tet.node[3]] - a;
+    inverted += b.cross(c).dot(d) <= 0;
+  }
+  std::printf("| %.1f | %d | %.1f | %.3f | %.1f | %d |\n", double(friction), sweeps, 1e3 * run.front_crush(), 1e3 * rear,
+              1e3 * bulge, inverted);
+}
+
+// A wall that holds the front by friction turns it about its lower edge and so presses the sides out more than one it slides
+// on.
 void pushes(const Car& car, bool all) {
   std::printf(
-      "\n| 0.40 m push in 40 ticks: sweeps | residual, mm | rear moved, mm | side bulge, mm | inverted tets |\n"
-      "|---|---|---|---|---|\n");
-  for (int sweeps : {5, 20, 200}) {
-    if (sweeps == 200 && !all) continue;
-    Run run(car);
-    run.mass.mass = std::numeric_limits<double>::infinity();
-    run.mass.inertia.setConstant(run.mass.mass);
-    run.parameters.iterations = uint16_t(sweeps);
-    run.place_wall(0);
-    run.wall.velocity = {-0.6, 0, 0};
-    for (int k = 0; k < 40; ++k) run.tick(60);
-    run.wall.velocity = {1.2, 0, 0};
-    for (int k = 0; k < 70 && !(k > 3 && run.body.settled); ++k) run.tick(60);
-    double rear = 0, bulge = 0;
-    for (size_t i = 0; i < run.body.node.size(); ++i) {
-      const Vec3 &rest = run.model.node[i], &now = run.body.node[i];
-      if (rest.x() < run.tail + 0.18 * (run.nose - run.tail)) rear = std::max(rear, double((now - rest).norm()));
-      bulge = std::max(bulge, double(std::fabs(now.y()) - std::fabs(rest.y())));
+      "\n| 0.40 m push in 40 ticks: wall's friction | sweeps | residual, mm | rear moved, mm | side bulge, mm | inverted tets "
+      "|\n"
+      "|---|---|---|---|---|---|\n");
+  for (float friction : {0.3f, 0.0f}) {
+    for (int sweeps : {5, 20, 200}) {
+      if (sweeps < 200 || all) push_once(car, friction, sweeps);
     }
-    int inverted = 0;
-    for (const Tet& tet : run.model.tet) {
-      const auto& n = run.body.node;
-      const Vec3 &a = n[tet.node[0]], b = n[tet.node[1]] - a, c = n[tet.node[2]] - a, d = n[tet.node[3]] - a;
-      inverted += b.cross(c).dot(d) <= 0;
-    }
-    std::printf("| %d | %.1f | %.3f | %.1f | %d |\n", sweeps, 1e3 * run.front_crush(), 1e3 * rear, 1e3 * bulge, inverted);
   }
 }
 
