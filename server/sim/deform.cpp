@@ -92,9 +92,40 @@ double stored_energy(const Model& model, const Parameters& parameters, const Scr
   return sum;
 }
 
+// How much of an impulse leaves the car with no more kinetic energy than `limit`: all of it, but where a body far too stiff or
+// too viscous for the sub-step would be thrown about by the explicit step of its motion.
+double passive_share(const Mass& mass, const Eigen::Vector3d& impulse, const Eigen::Vector3d& angular_impulse, double limit,
+                     const Motion& motion) {
+  const auto within = [&](double share) {
+    Motion after = motion;
+    push(share * impulse, share * angular_impulse, mass, after);
+    return kinetic_energy(after, mass) <= limit;
+  };
+  if (!std::isfinite(mass.mass) || within(1)) return 1;
+  double low = 0, high = 1;
+  for (int i = 0; i < 20; ++i) (within(0.5 * (low + high)) ? low : high) = 0.5 * (low + high);
+  return low;
+}
+
+// The kinetic energy that a tick can leave at most: what the car brings, moving and stored, and what the fastest obstacle adds
+// by throwing it back elastically.
+double most_energy(const Mass& mass, std::span<const Obstacle> obstacles, const Scratch& scratch, const Body& body,
+                   const Motion& motion) {
+  double fastest = 0;
+  for (const Candidates& near : scratch.candidates) {
+    const Obstacle& obstacle = obstacles[near.obstacle];
+    const double arm = (obstacle.pose.position - motion.pose.position).norm() + double(body.reach);
+    fastest = std::max(fastest, obstacle.velocity.norm() + obstacle.angular_velocity.norm() * arm);
+  }
+  const double own = std::max(0.0, kinetic_energy(motion, mass) + body.stored);
+  const double added = std::sqrt(mass.mass / 2) * (2 * fastest + double(push_out_speed));
+  return (std::sqrt(own) + added) * (std::sqrt(own) + added);
+}
+
 // The forces of all contacts as one impulse on the rigid motion, and the work that friction took. The impulse is the mean of
 // the forces at both ends of the sub-step: with those at its end alone a crash loses 2 % of its energy to the rectangle rule.
-void react(const Mass& mass, double h, const Scratch& scratch, Body& body, Motion& motion, Response& response) {
+void react(const Mass& mass, double h, double energy_limit, const Scratch& scratch, Body& body, Motion& motion,
+           Response& response) {
   Eigen::Vector3d force = Eigen::Vector3d::Zero(), moment = Eigen::Vector3d::Zero();
   uint32_t touching = 0;
   for (size_t k = 0; k < scratch.contacts.size(); ++k) {
@@ -111,10 +142,13 @@ void react(const Mass& mass, double h, const Scratch& scratch, Body& body, Motio
     response.deepest = std::max(response.deepest, -contact.after);
   }
   const Eigen::Quaterniond& axes = motion.pose.orientation;
-  const Eigen::Vector3d impulse = 0.5 * h * (body.force + axes * force);
-  const Eigen::Vector3d angular_impulse = 0.5 * h * (body.moment + axes * moment);
-  body.force = axes * force;
-  body.moment = axes * moment;
+  Eigen::Vector3d impulse = 0.5 * h * (body.force + axes * force);
+  Eigen::Vector3d angular_impulse = 0.5 * h * (body.moment + axes * moment);
+  const double share = passive_share(mass, impulse, angular_impulse, energy_limit, motion);
+  impulse *= share;
+  angular_impulse *= share;
+  body.force = share * (axes * force);
+  body.moment = share * (axes * moment);
   body.touching = touching > 0;
   push(impulse, angular_impulse, mass, motion);
   response.impulse += impulse;
@@ -185,6 +219,7 @@ void keep(const Model& model, Scratch& scratch, Body& body) {
 struct Substep {
   double start, seconds;  // within the tick
   float last;             // seconds of the one before, for the predictor
+  double energy_limit;    // of the motion after it, J
 };
 
 // One sub-step. Returns the seconds that were solved.
@@ -227,7 +262,7 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
     const RoomTimer room(timer, Room::flow);
     body.absorbed += flow_nodal(model, scratch, body);
   }
-  react(mass, double(h), scratch, body, motion, response);
+  react(mass, double(h), now.energy_limit, scratch, body, motion, response);
   // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
   if (body.force.norm() * double(h) > double(settle_speed) * mass.mass) body.settled = false;
   ++response.substeps;
@@ -288,9 +323,10 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
   } else {
     const int count = substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
     const double h = seconds / count;
+    const double limit = most_energy(mass, obstacles, scratch, body, motion);
     float last = body.step_seconds > 0 ? body.step_seconds : float(h);
     for (int k = 0; k < count; ++k) {
-      last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, timer);
+      last = step(model, parameters, mass, obstacles, {k * h, h, last, limit}, scratch, body, motion, response, timer);
     }
     scratch.team.leave();
     if (response.substeps > 0) body.stored = stored_energy(model, parameters, scratch, body);
