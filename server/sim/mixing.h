@@ -2,8 +2,8 @@
 // From the changes of f and g over the last few steps it takes the combination that would make the residual smallest, and goes
 // on from there. The changes of earlier sub-steps serve as well as this one's, since a crash changes slowly: they know the
 // slow, long waves of the error that sweeps hardly move, and the plastic softening that their secant moduli hide. Measured on
-// three cars (50 km/h wall and pole): 6 sweeps a sub-step leave 0.03-0.8 % where without it 100 sweeps leave more. D. G.
-// Anderson 1965; H. F. Walker, P. Ni 2011, doi 10.1137/10078356X; in physics simulation: Y. Peng et al. 2018.
+// three cars (50 km/h wall and pole, sub-steps of 1/960 s): 6 sweeps a sub-step leave 0.03-0.8 % where without it 100 sweeps
+// leave more. D. G. Anderson 1965; H. F. Walker, P. Ni 2011, doi 10.1137/10078356X; in physics simulation: Y. Peng et al. 2018.
 #pragma once
 
 #include <array>

@@ -229,9 +229,9 @@ void sweep(const Blocks& blocks, const NodeView& view, Team& team) {
   }
 }
 
-// Moves all nodes along scratch.direction by the factor in [0, most] that lowers the energy most. Along the line the energy is
+// Moves all nodes along scratch.direction by the factor in [0, 1] that lowers the energy most. Along the line the energy is
 // a polynomial of degree six, so its minimum needs one pass over the tets.
-void search_line(const Blocks& blocks, double most, Scratch& scratch) {
+void search_line(const Blocks& blocks, Scratch& scratch) {
   double derivative[6] = {};  // of the energy along the line: sum derivative[k] a^k
   for (size_t i = 0; i < scratch.node.size(); ++i) {
     const Vec3 direction = vec(scratch.direction[i]), position = vec(scratch.node[i]);
@@ -251,9 +251,9 @@ void search_line(const Blocks& blocks, double most, Scratch& scratch) {
     return sum;
   };
   if (!(slope(0) < 0)) return;
-  double low = 0, high = most;
-  if (slope(most) <= 0) {
-    low = most;
+  double low = 0, high = 1;
+  if (slope(1) <= 0) {
+    low = 1;
   } else {
     for (int i = 0; i < 20; ++i) (slope(0.5 * (low + high)) < 0 ? low : high) = 0.5 * (low + high);
   }
@@ -275,7 +275,7 @@ void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
     scratch.node[contact.node] = quad(position + depth * contact.normal, 0);
     scratch.direction[contact.node] = {};
   }
-  search_line(blocks, 1, scratch);
+  search_line(blocks, scratch);
 }
 
 // Mixing also moves what has come to rest since, and anchored nodes that an obstacle has let go: they stay where they were.
