@@ -225,7 +225,7 @@ void deform_baseline(Baseline baseline, const Model& model, const Structure& str
     motion.pose = advance(motion, mass, seconds);
     return;
   }
-  const int count = baseline == Baseline::xpbd ? std::max(1, int(std::lround(seconds / substep_seconds))) : 1;
+  const int count = baseline == Baseline::xpbd ? std::max(1, int(std::lround(seconds / substep_seconds(parameters)))) : 1;
   const double h = seconds / count;
   for (int k = 0; k < count; ++k) {
     const Pose to = advance(motion, mass, h);

@@ -33,7 +33,7 @@ using namespace crumple;
 
 constexpr double tick_seconds = 1.0 / 60, speed = 50 / 3.6, gap = 0.02;  // s, m/s, m
 constexpr int ticks = 12, push_ticks = 40;
-constexpr int default_substeps = int(tick_seconds / substep_seconds + 0.5);
+const int default_substeps = Parameters().substeps;
 constexpr double push_depth = 0.40, elastic_depth = 0.20;  // m
 constexpr char elastic_push[] = "elastic push";
 constexpr size_t small_car = 12'000;  // nodes: of larger ones only the figures that matter there, in --quick without errors
@@ -136,7 +136,7 @@ Play play(const Crash& crash, const Method& method, int iterations) {
   Obstacle obstacle = obstacle_of(crash.scene, model);
   Parameters parameters;
   parameters.solver = method.solver;
-  parameters.iterations = uint16_t(iterations);
+  if (iterations > 0) parameters.iterations = uint16_t(iterations), parameters.tolerance = 0;  // 0: the default's stop
   for (Material& material : parameters.region) {
     if (pushed) material.plastic_limit = 0, material.plasticity = 1;
   }

@@ -148,14 +148,15 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
     Lane& lane = lanes[0];
     Parameters parameters = scene.parameters;
     parameters.iterations = uint16_t(sweeps);
+    parameters.tolerance = 0;
     RoomTimes times;
     double substeps = 0;
     for (auto _ : state) {
       lane.body = scene.body;
       lane.motion = scene.motion;
       const double before = times.seconds[size_t(Room::solve)];
-      lane.response = deform(scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds, *lane.scratch,
-                             lane.body, lane.motion, &times);
+      lane.response = deform(scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters),
+                             *lane.scratch, lane.body, lane.motion, &times);
       state.SetIterationTime(times.seconds[size_t(Room::solve)] - before);
       substeps += lane.response.substeps;
     }

@@ -101,7 +101,7 @@ Scene scene_of(int argc, char** argv) {
   }
   scene.obstacle.pose.position.x() = double(nose) + (pole ? 0.127 : 0.5);
   for (int k = 0; k < substeps; ++k) {
-    scene.velocity.push_back(std::clamp(depth / substep_seconds - k * speed, 0.0, speed));
+    scene.velocity.push_back(std::clamp(depth / substep_seconds(Parameters()) - k * speed, 0.0, speed));
   }
   return scene;
 }
@@ -111,7 +111,7 @@ std::vector<Row> by_reference(const Scene& scene, FlowLaw law) {
   std::vector<Pose> path(1);
   for (double velocity : scene.velocity) {
     path.push_back(path.back());
-    path.back().position.x() += velocity * substep_seconds;
+    path.back().position.x() += velocity * substep_seconds(Parameters());
   }
   ReferenceOptions options;
   options.law = law;
@@ -119,7 +119,7 @@ std::vector<Row> by_reference(const Scene& scene, FlowLaw law) {
   std::vector<Row> rows;
   double absorbed = 0;
   follow_reference(
-      model, scene.parameters, {&scene.obstacle, 1}, path, substep_seconds, options,
+      model, scene.parameters, {&scene.obstacle, 1}, path, substep_seconds(Parameters()), options,
       [&](size_t k, const ReferenceStep& step) {
         absorbed += step.plastic_work + step.drag_work;
         std::fprintf(stderr,
@@ -136,6 +136,7 @@ std::vector<Row> by_nodal(const Scene& scene, int sweeps) {
   const Model& model = scene.car->model;
   Parameters parameters = scene.parameters;
   parameters.iterations = uint16_t(sweeps);
+  parameters.tolerance = 0;
   Mass mass;
   mass.center = model.center_of_mass.cast<double>();
   mass.mass = std::numeric_limits<double>::infinity();
@@ -146,7 +147,7 @@ std::vector<Row> by_nodal(const Scene& scene, int sweeps) {
   std::vector<Row> rows;
   for (int k = 0; k < substeps; ++k) {
     motion.velocity.x() = scene.velocity[size_t(k)];
-    deform(model, parameters, mass, {&scene.obstacle, 1}, substep_seconds, *scratch, body, motion);
+    deform(model, parameters, mass, {&scene.obstacle, 1}, substep_seconds(Parameters()), *scratch, body, motion);
     if ((k + 1) % substeps_a_row != 0) continue;
     Row& row = rows.emplace_back();
     for (const Vec3& node : body.node) row.node.push_back(node.cast<double>());
@@ -178,9 +179,9 @@ void print(const Scene& scene, const char* name, const std::string& from, const 
     const double largest = 1e3 * distance(reference[k].node, rest).most;
     const Distance d = distance(rows[k].node, reference[k].node);
     std::printf("| %s | %s | %.1f | %.0f | %.3f | %.3f | %.2f | %.2f | %.1f | %.1f | %.1f | %.1f |\n", name, from.c_str(),
-                1e3 * double((k + 1) * substeps_a_row) * substep_seconds, largest, 1e3 * d.rms, 1e5 * d.rms / largest,
-                1e3 * d.most, 1e5 * d.most / largest, 1e-3 * rows[k].force, 1e-3 * reference[k].force, 1e-3 * rows[k].absorbed,
-                1e-3 * reference[k].absorbed);
+                1e3 * double((k + 1) * substeps_a_row) * substep_seconds(Parameters()), largest, 1e3 * d.rms,
+                1e5 * d.rms / largest, 1e3 * d.most, 1e5 * d.most / largest, 1e-3 * rows[k].force, 1e-3 * reference[k].force,
+                1e-3 * rows[k].absorbed, 1e-3 * reference[k].absorbed);
   }
 }
 

@@ -43,6 +43,8 @@ void add(const Parameters& parameters, Sum& sum) {
   static_assert(sizeof(Material) == 9 * sizeof(float));
   sum.add(uint64_t(parameters.solver));
   sum.add(uint64_t(parameters.iterations));
+  sum.add(double(parameters.tolerance));
+  sum.add(uint64_t(parameters.substeps));
   sum.add(parameters.region.data(), sizeof parameters.region);
 }
 

@@ -39,6 +39,10 @@ struct Linear {
       x = {s.x + by * (x.x - s.x), s.y + by * (x.y - s.y), s.z + by * (x.z - s.z), 0};
     }
   }
+  void mix() {
+    compare_step(scratch, history);
+    crumple::mix(scratch, history);
+  }
   double error() const {
     double sum = 0;
     for (size_t i = 0; i < count; ++i) {
@@ -54,7 +58,7 @@ TEST(Mixing, SolvesInAFewStepsWhatPlainStepsNeedHundredsFor) {
   const double start = mixed.error();
   for (int k = 0; k < 12; ++k) {
     mixed.step();
-    mix(mixed.scratch, mixed.history);
+    mixed.mix();
   }
   for (int k = 0; k < 100; ++k) plain.step();
   EXPECT_LT(mixed.error(), 2e-3 * start);
@@ -67,7 +71,7 @@ TEST(Mixing, WhatWasLearnedInOneSubstepServesTheNext) {
     Linear linear;
     for (int k = 0; k < 7; ++k) {
       linear.step();
-      mix(linear.scratch, linear.history);
+      linear.mix();
     }
     for (Quad& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
     const double start = linear.error();
@@ -75,7 +79,7 @@ TEST(Mixing, WhatWasLearnedInOneSubstepServesTheNext) {
     if (forget) linear.history = {};
     for (int k = 0; k < 2; ++k) {
       linear.step();
-      mix(linear.scratch, linear.history);
+      linear.mix();
     }
     const double left = linear.error() / start;
     EXPECT_TRUE(forget ? left > 0.3 : left < 0.1) << left;
@@ -86,23 +90,23 @@ TEST(Mixing, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
   Linear linear;
   for (int k = 0; k < 4; ++k) {
     linear.step();
-    mix(linear.scratch, linear.history);
+    linear.mix();
   }
   for (auto& list : linear.history.result) {
     for (Quad& each : list) each = {1e4f * each.x, 1e4f * each.y, 1e4f * each.z, 0};  // the planted fault
   }
   linear.step();
   const std::vector<Quad> swept = linear.scratch.node;
-  mix(linear.scratch, linear.history);
+  linear.mix();
   EXPECT_FALSE(same(swept, linear.scratch.node));
   linear.step();
-  mix(linear.scratch, linear.history);
+  linear.mix();
   EXPECT_TRUE(same(swept, linear.scratch.node));
   EXPECT_EQ(linear.history.count, 0);
   const double start = linear.error();
   for (int k = 0; k < 12; ++k) {  // and it begins anew
     linear.step();
-    mix(linear.scratch, linear.history);
+    linear.mix();
   }
   EXPECT_LT(linear.error(), 0.02 * start);
 }
@@ -117,7 +121,7 @@ TEST(Mixing, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
   for (int k = 0; k < 10; ++k) {
     for (Linear* each : {&clean, &dirty}) {
       each->step();
-      mix(each->scratch, each->history);
+      each->mix();
     }
     for (size_t i = 0; i < Linear::count; ++i) {
       ASSERT_EQ(std::memcmp(&clean.scratch.node[i], &dirty.scratch.node[i], sizeof(Quad)), 0) << "step " << k << ", node " << i;

@@ -72,7 +72,8 @@ typedef struct CrumpleSpawn {
 // crumple_keep() keeps everything; set what should change. Ranges: the server's server/sim/material.h.
 typedef struct CrumpleParameters {
   int solver;                                                                      // 0 nodal, 1 classic; -1: keep
-  uint32_t iterations;                                                             // 0: keep
+  uint32_t iterations, substeps;                                                   // 0: keep
+  float tolerance;                                                                 // NaN: keep
   int region;                                                                      // which the fields below are for; -1: all
   float young_modulus, poisson_ratio, yield, hardening, plastic_limit, viscosity;  // NaN: keep
   float distance_stiffness, volume_stiffness, plasticity;                          // NaN: keep; of `classic`

@@ -154,6 +154,8 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
   };
   if (from.solver) to.solver = static_cast<int>(*from.solver);
   if (from.iterations) to.iterations = *from.iterations;
+  if (from.substeps) to.substeps = *from.substeps;
+  take(from.tolerance, to.tolerance);
   to.region = from.region;
   take(from.young_modulus, to.young_modulus);
   take(from.poisson_ratio, to.poisson_ratio);

@@ -62,7 +62,7 @@ int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Of
 
 CrumpleParameters crumple_keep(void) {
   const float keep = std::numeric_limits<float>::quiet_NaN();
-  return {-1, 0, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep};
+  return {-1, 0, 0, keep, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep};
 }
 
 int crumple_spawn(Crumple* session, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
@@ -91,12 +91,14 @@ int crumple_repair(Crumple* session, const char* car, float amount, uint64_t* ti
 
 int crumple_set_parameters(Crumple* session, const char* car, const CrumpleParameters* parameters, uint64_t* ticket) {
   if (parameters->iterations > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "iterations is over 65535");
+  if (parameters->substeps > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "substeps is over 65535");
   if (parameters->region < -1 || parameters->region > 127) return fail(CRUMPLE_BAD_ARGUMENT, "region is not in [-1, 127]");
   if (parameters->solver < -1 || parameters->solver > 1) return fail(CRUMPLE_BAD_ARGUMENT, "solver is not -1, 0 or 1");
   flatbuffers::FlatBufferBuilder builder;
   schema::ParametersBuilder to(builder);
   if (parameters->solver >= 0) to.add_solver(static_cast<schema::Solver>(parameters->solver));
   if (parameters->iterations) to.add_iterations(static_cast<uint16_t>(parameters->iterations));
+  if (parameters->substeps) to.add_substeps(static_cast<uint16_t>(parameters->substeps));
   to.add_region(static_cast<int8_t>(parameters->region));
   const auto add = [&](float value, auto setter) {
     if (!std::isnan(value)) (to.*setter)(value);
@@ -111,6 +113,7 @@ int crumple_set_parameters(Crumple* session, const char* car, const CrumpleParam
   add(parameters->distance_stiffness, &To::add_distance_stiffness);
   add(parameters->volume_stiffness, &To::add_volume_stiffness);
   add(parameters->plasticity, &To::add_plasticity);
+  add(parameters->tolerance, &To::add_tolerance);
   return order(*session, car, schema::Order::Parameters, to.Finish().Union(), builder, ticket);
 }
 

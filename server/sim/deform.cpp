@@ -198,7 +198,7 @@ int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obs
   double modulus = 0;
   for (const Material& material : parameters.region) modulus = std::max(modulus, double(material.young_modulus));
   const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / mass.mass);
-  const int count = std::max(1, int(std::lround(seconds / substep_seconds)));
+  const int count = std::max(1, int(std::lround(seconds / substep_seconds(parameters))));
   int times = 1;
   for (int k = 0; k < halvings; ++k) {
     const double h = seconds / (count * times);
@@ -255,7 +255,9 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
     index_contacts(scratch);
     hold_anchors(model, scratch, body);
     scratch.start = body.node;
-    solve_nodal(model, parameters, mass.mass, h, h / now.last, scratch, body);
+    const Effort effort = solve_nodal(model, parameters, mass.mass, h, h / now.last, scratch, body);
+    response.work += effort.work;
+    response.residual = std::max(response.residual, effort.residual);
   }
   settle(h, scratch.start, body);
   {

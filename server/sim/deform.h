@@ -13,11 +13,11 @@
 namespace crumple {
 
 // Sub-steps are a share of time, not of a tick, so that the tick rate does not change the crush. They are halved, up to
-// halvings times, while in one of them the car would meet an obstacle by more than substep_travel (an edge of a 10,000-node
+// halvings times, while in one of them the car would meet an obstacle by more than substep_travel (m; an edge of a 10,000-node
 // car), or contacts would turn its motion by more than substep_turn radians (their force is stepped explicitly).
-inline constexpr double substep_seconds = 1.0 / 480;
-inline constexpr double substep_travel = 0.05;
-inline constexpr double substep_turn = 0.75;
+inline double substep_seconds(const Parameters& parameters) { return 1.0 / (60.0 * parameters.substeps); }
+inline constexpr double substep_travel = 0.08;
+inline constexpr double substep_turn = 1.1;
 inline constexpr int halvings = 3;
 
 // What the tick did to the rigid motion. World axes; about the centre of mass.
@@ -27,6 +27,8 @@ struct Response {
   float deepest = 0;                                          // the farthest that an obstacle pushed a node, m
   uint32_t contacts = 0;                                      // nodes held at the end
   uint32_t substeps = 0;                                      // solved; 0: nothing was near and the body was settled
+  uint64_t work = 0;                                          // tets visited by sweeps
+  float residual = 0;             // what the last sweeps of a sub-step moved, rms over awake nodes, the largest, m
   bool contact_overflow = false;  // a node met more than contacts_per_node obstacles: the deepest were kept
   bool recovered = false;         // the tick ended non-finite and was undone: the body stands as before it
 };

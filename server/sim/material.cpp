@@ -29,6 +29,12 @@ std::optional<std::string> out_of_range(const Parameters& parameters) {
   if (parameters.iterations < 1 || parameters.iterations > 1000) {
     return "iterations is " + std::to_string(parameters.iterations) + "; allowed are 1 to 1000";
   }
+  if (!(parameters.tolerance >= 0 && parameters.tolerance <= 0.1f)) {
+    return "tolerance is " + std::to_string(parameters.tolerance) + " m; allowed are 0 to 0.1 m";
+  }
+  if (parameters.substeps < 1 || parameters.substeps > 64) {
+    return "substeps is " + std::to_string(parameters.substeps) + "; allowed are 1 to 64";
+  }
   for (int region = 0; region < region_limit; ++region) {
     for (const Range& range : ranges) {
       const float value = parameters.region[region].*range.field;

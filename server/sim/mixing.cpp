@@ -1,6 +1,8 @@
 #include "sim/mixing.h"
 
 #include <Eigen/Dense>
+#include <algorithm>
+#include <span>
 
 #include "sim/scratch.h"
 
@@ -9,6 +11,34 @@ namespace {
 
 constexpr double growth = 4;             // of the squared residual, beyond which a mixing has failed
 constexpr double regularisation = 1e-6;  // relative; sums are in single precision
+
+// work(first, last, sums) on all nodes, piece by piece, by all free threads; the pieces' sums are added in their order.
+constexpr uint32_t quads_at_once = 1024;  // whole sums of the kernels
+using Sums = std::array<double, mixing_depth>;
+template <class Work>
+Sums over_nodes(Scratch& scratch, const Work& work) {
+  const auto n = uint32_t(scratch.node.size());
+  scratch.sums.assign((n + quads_at_once - 1) / quads_at_once, {});
+  scratch.team.run(0, n, quads_at_once, [&](uint32_t first, uint32_t last) {
+    for (; first < last; first += quads_at_once) {  // without helpers the whole range comes at once
+      work(first, std::min(last - first, quads_at_once), scratch.sums[first / quads_at_once].data());
+    }
+  });
+  Sums total = {};
+  for (const Sums& sum : scratch.sums) {
+    for (int k = 0; k < mixing_depth; ++k) total[k] += sum[k];
+  }
+  return total;
+}
+
+// Of `first` with each of `others`.
+Sums products(const std::vector<Quad>& first, std::span<const std::vector<Quad>> others, Scratch& scratch) {
+  return over_nodes(scratch, [&](uint32_t begin, uint32_t count, double* sums) {
+    const Quad* each[mixing_depth];
+    for (size_t p = 0; p < others.size(); ++p) each[p] = &others[p][begin];
+    kernels().products(&first[begin], each, int(others.size()), count, sums);
+  });
+}
 
 // Coefficients of the combination of changes that cancels most of f.
 using Weighting = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, mixing_depth, 1>;
@@ -30,63 +60,52 @@ void begin_mixing(Scratch& scratch) {
   scratch.mixed = false;
 }
 
-void mix(Scratch& scratch, History& history) {
+void compare_step(Scratch& scratch, History& history) {
   const size_t n = scratch.node.size();
-  const Kernels& kernel = kernels();
   for (auto* list : {&scratch.residual, &scratch.result, &scratch.unmixed}) list->resize(n);
   const int slot = history.next;
-  if (scratch.compared) {
-    history.residual[slot].resize(n);
-    history.result[slot].resize(n);
-  }
-  // This step's f and g against the last one's; what changed goes into the history, or nowhere if there was no last one.
-  double size = 0;
-  kernel.compare(scratch.node.data(), scratch.from.data(), n, scratch.residual.data(), scratch.result.data(),
-                 (scratch.compared ? history.residual[slot] : scratch.unmixed).data(),
-                 (scratch.compared ? history.result[slot] : scratch.unmixed).data(), &size);
+  // Into the history, or nowhere if there was no last step.
+  std::vector<Quad>& residual_change = scratch.compared ? history.residual[slot] : scratch.direction;
+  std::vector<Quad>& result_change = scratch.compared ? history.result[slot] : scratch.direction;
+  residual_change.resize(n);
+  result_change.resize(n);
+  const double size = over_nodes(scratch, [&](uint32_t k, uint32_t count, double* sum) {
+    kernels().compare(&scratch.node[k], &scratch.from[k], count, &scratch.residual[k], &scratch.result[k], &residual_change[k],
+                      &result_change[k], sum);
+  })[0];
   if (scratch.mixed && !(size <= growth * scratch.residual_size)) {
     scratch.node = scratch.unmixed;
     history.count = history.next = 0;
     return begin_mixing(scratch);
   }
-  const Quad* changes[mixing_depth];
   if (scratch.compared) {
     history.count = std::max(history.count, slot + 1);
     history.next = (slot + 1) % mixing_depth;
-  }
-  const int m = history.count;
-  for (int p = 0; p < m; ++p) changes[p] = history.residual[p].data();
-  if (scratch.compared) {
-    double row[mixing_depth];
-    kernel.products(changes[slot], changes, m, n, row);
-    for (int p = 0; p < m; ++p) history.products[slot][p] = history.products[p][slot] = row[p];
+    const Sums row = products(history.residual[slot], {history.residual.data(), size_t(history.count)}, scratch);
+    for (int p = 0; p < history.count; ++p) history.products[slot][p] = history.products[p][slot] = row[p];
   }
   scratch.residual_size = size;
   scratch.compared = true;
   scratch.mixed = false;
-  if (m == 0) return;
-  double right[mixing_depth];
-  kernel.products(scratch.residual.data(), changes, m, n, right);
-  const Weighting weight = combine(history, right);
-  if (!weight.allFinite()) return;
-  scratch.unmixed = scratch.node;
-  scratch.mixed = true;
-  float by[mixing_depth];
-  for (int p = 0; p < m; ++p) {
-    changes[p] = history.result[p].data();
-    by[p] = -float(weight[p]);
-  }
-  kernel.combine(changes, by, m, n, scratch.node.data());
 }
 
-void end_mixing(Scratch& scratch, History& history) {
-  if (!scratch.mixed) return;
-  double size = 0;
-  kernels().compare(scratch.node.data(), scratch.from.data(), scratch.node.size(), scratch.residual.data(),
-                    scratch.result.data(), scratch.direction.data(), scratch.direction.data(), &size);
-  if (size <= growth * scratch.residual_size) return;
-  scratch.node = scratch.unmixed;
-  history.count = history.next = 0;
+void mix(Scratch& scratch, const History& history) {
+  const int m = history.count;
+  if (!scratch.compared || m == 0) return;
+  const Sums right = products(scratch.residual, {history.residual.data(), size_t(m)}, scratch);
+  const Weighting weight = combine(history, right.data());
+  if (!weight.allFinite()) return;
+  scratch.mixed = true;
+  over_nodes(scratch, [&](uint32_t k, uint32_t count, double*) {
+    const Quad* changes[mixing_depth];
+    float by[mixing_depth];
+    for (int p = 0; p < m; ++p) {
+      changes[p] = &history.result[p][k];
+      by[p] = -float(weight[p]);
+    }
+    std::copy_n(&scratch.node[k], count, &scratch.unmixed[k]);
+    kernels().combine(changes, by, m, count, &scratch.node[k]);
+  });
 }
 
 }  // namespace crumple

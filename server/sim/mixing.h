@@ -29,11 +29,12 @@ struct History {
 // At the start of a sub-step: what was kept stays, but steps are not compared across it.
 void begin_mixing(Scratch&);
 
-// scratch.from: nodes before the sweep, scratch.node: after it. Moves scratch.node to where the next sweep shall start.
-// If the last mixing made the residual more than twice as large it is undone and all is forgotten: sweeps alone always descend.
-void mix(Scratch&, History&);
+// After sweeps that led from scratch.from to scratch.node: what they changed against the sweeps before them, into the history,
+// and how far they went (scratch.residual_size). If the mixing before them made the residual more than twice as large it is
+// undone and all is forgotten: sweeps alone always descend.
+void compare_step(Scratch&, History&);
 
-// After the last sweep of a sub-step: undoes the last mixing if it failed.
-void end_mixing(Scratch&, History&);
+// Moves scratch.node to where the next sweeps shall start.
+void mix(Scratch&, const History&);
 
 }  // namespace crumple

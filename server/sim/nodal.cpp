@@ -360,6 +360,31 @@ void weigh_tet(const Body& body, const Blocks& blocks, uint32_t t, Scratch& scra
   }
 }
 
+// What flowed in a group of tets, into the body and the rows.
+void take_flow(const Blocks& blocks, uint32_t group, Scratch& scratch, Body& body) {
+  if (!scratch.stirred[group]) return;
+  const TetLanes& tet = scratch.tets[group];
+  for (unsigned left = scratch.flowing[group]; left != 0; left &= left - 1) {
+    const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
+    for (int k = 0; k < 9; ++k) body.gradients[t].corner[k / 3][k % 3] = tet.gradient[k][lane];
+    body.hardening[t] = tet.kappa[lane];
+    weigh_tet(body, blocks, t, scratch);
+  }
+}
+
+size_t awake_nodes(const Scratch& scratch) {
+  return lanes * size_t(std::count_if(scratch.awake.begin(), scratch.awake.end(), [](uint8_t awake) { return awake != 0; }));
+}
+
+// The squared way of all nodes in this sub-step, m^2; an awake node's is no shorter than at the speed at which it is at rest.
+double way_size(float quiet, const Scratch& scratch) {
+  double sum = double(awake_nodes(scratch)) * double(quiet * quiet);
+  for (size_t i = 0; i < scratch.node.size(); ++i) {
+    sum += double((vec(scratch.node[i]) - vec(scratch.before[i])).squaredNorm());
+  }
+  return sum;
+}
+
 }  // namespace
 
 void prepare_nodal(const Model& model, const Parameters& parameters, const Body& body, Scratch& scratch) {
@@ -398,8 +423,8 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
   }
 }
 
-void solve_nodal(const Model& model, const Parameters& parameters, double mass, float h, float share, Scratch& scratch,
-                 Body& body) {
+Effort solve_nodal(const Model& model, const Parameters& parameters, double mass, float h, float share, Scratch& scratch,
+                   Body& body) {
   const Blocks& blocks = *model.blocks;
   const uint32_t count = uint32_t(body.node.size());
   for (uint32_t i = 0; i < count; ++i) {
@@ -416,25 +441,31 @@ void solve_nodal(const Model& model, const Parameters& parameters, double mass, 
   NodeView view = node_view(blocks, quiet, scratch);
   predict(blocks, share, scratch, body);
   begin_mixing(scratch);
-  // One step of the mixing: as many sweeps as leave its memory longer than a sub-step, at least two between new moduli.
-  const int together = std::max(2, (parameters.iterations + mixing_depth - 1) / mixing_depth);
-  for (int k = 0; k < parameters.iterations; ++k) {
-    if (k % together == 0) {
-      if (k > 0) {
-        mix(scratch, body.history);
-        keep_still(blocks, scratch);
-      }
-      scratch.from = scratch.node;
+  const double enough = double(parameters.tolerance) * double(parameters.tolerance);
+  double mean = 0;  // square of the residual, m^2
+  int done = 0;
+  while (done < parameters.iterations) {
+    scratch.from = scratch.node;
+    for (int k = 0; k < sweeps_a_step && done < parameters.iterations; ++k, ++done) {
+      if (k % 2 == 0) renew_stiffness(blocks, scratch);
+      sweep(blocks, view, scratch.team);
     }
-    if (k % together % 2 == 0) renew_stiffness(blocks, scratch);
-    sweep(blocks, view, scratch.team);
+    compare_step(scratch, body.history);
+    mean = scratch.residual_size / double(std::max<size_t>(1, awake_nodes(scratch)));
+    if (scratch.compared && mean <= enough && scratch.residual_size <= small_share * small_share * way_size(quiet, scratch))
+      break;
+    if (done < parameters.iterations) {
+      mix(scratch, body.history);
+      keep_still(blocks, scratch);
+    }
   }
-  end_mixing(scratch, body.history);
   renew_stiffness(blocks, scratch);
   view.measure = true;
   view.resolve = measure;
   sweep(blocks, view, scratch.team);
   for (uint32_t i = 0; i < count; ++i) body.node[i] = vec(scratch.node[i]);
+  const auto stirred = uint64_t(std::count(scratch.stirred.begin(), scratch.stirred.end(), uint8_t(1)));
+  return {lanes * stirred * uint64_t(done), std::sqrt(float(mean))};
 }
 
 double flow_nodal(const Model& model, Scratch& scratch, Body& body) {
@@ -442,17 +473,8 @@ double flow_nodal(const Model& model, Scratch& scratch, Body& body) {
   const TetView view = tet_view(blocks, scratch);
   double work = sum_over_groups(blocks, scratch, [&](uint32_t first, uint32_t last, double* sum) {
     sum[0] = kernels().flow(view, scratch.tets.data(), first, last, scratch.flowing.data());
+    for (uint32_t group = first; group < last; ++group) take_flow(blocks, group, scratch, body);
   })[0];
-  for (uint32_t group = 0; group < blocks.group.size(); ++group) {
-    if (!scratch.stirred[group]) continue;
-    for (unsigned left = scratch.flowing[group]; left != 0; left &= left - 1) {
-      const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
-      const TetLanes& tet = scratch.tets[group];
-      for (int k = 0; k < 9; ++k) body.gradients[t].corner[k / 3][k % 3] = tet.gradient[k][lane];
-      body.hardening[t] = tet.kappa[lane];
-      weigh_tet(body, blocks, t, scratch);
-    }
-  }
   for (size_t i = 0; i < body.node.size(); ++i) {
     work += double(scratch.before[i].w) * (body.node[i] - vec(scratch.before[i])).squaredNorm();
   }

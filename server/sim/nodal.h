@@ -20,12 +20,23 @@ inline constexpr float settle_speed = 2e-3f;
 // Of all tets: when more have lost their shape, none flows.
 inline constexpr double lost_share = 0.002;
 
+// Beside Parameters::tolerance: of the nodes' way in the sub-step the last two sweeps make up no more than this share. Else a
+// push so slow that its whole way is within the tolerance would not be solved at all, and its force be several times too high.
+inline constexpr double small_share = 0.08;
+// Sweeps that together are one step of the mixing, with moduli renewed before every second one.
+inline constexpr int sweeps_a_step = 2;
+
 // Before the first sub-step of a tick: the car's state as the kernels want it.
 void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
 
+struct Effort {
+  uint64_t work = 0;   // tets visited by sweeps
+  float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
+};
+
 // Solves one sub-step of h seconds. In: body as the last sub-step left it, scratch.contacts, contact_first.
 // Out: body.node, and what held each contact in scratch.held. share: h over the last sub-step's. mass: the car's, kg.
-void solve_nodal(const Model&, const Parameters&, double mass, float h, float share, Scratch&, Body&);
+Effort solve_nodal(const Model&, const Parameters&, double mass, float h, float share, Scratch&, Body&);
 
 // After it: plastic flow of the tets that are beyond yield, and the drag that the nodes took: J.
 double flow_nodal(const Model&, Scratch&, Body&);

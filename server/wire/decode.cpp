@@ -120,6 +120,8 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
     order.solver = *from.solver() == schema::Solver::classic ? Solver::classic : Solver::nodal;
   }
   if (from.iterations()) order.iterations = *from.iterations();
+  if (from.tolerance()) order.tolerance = *from.tolerance();
+  if (from.substeps()) order.substeps = *from.substeps();
   order.region = int(check.number(parameters, "region", float(from.region()), -1, region_limit - 1, ""));
   const auto take = [&](const char* field, flatbuffers::Optional<float> value, float Material::*member) {
     if (!value) return;
@@ -285,6 +287,8 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
 void apply(const ParametersOrder& order, Parameters& parameters) {
   if (order.solver) parameters.solver = *order.solver;
   if (order.iterations) parameters.iterations = *order.iterations;
+  if (order.tolerance) parameters.tolerance = *order.tolerance;
+  if (order.substeps) parameters.substeps = *order.substeps;
   for (int region = 0; region < region_limit; ++region) {
     if (order.region >= 0 && order.region != region) continue;
     for (const auto& [member, value] : order.changes) parameters.region[region].*member = value;

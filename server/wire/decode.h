@@ -57,6 +57,8 @@ struct RepairOrder {
 struct ParametersOrder {
   std::optional<Solver> solver;
   std::optional<uint16_t> iterations;
+  std::optional<float> tolerance;
+  std::optional<uint16_t> substeps;
   int region = -1;  // -1: all
   std::vector<std::pair<float Material::*, float>> changes;
 };
