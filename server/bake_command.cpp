@@ -3,18 +3,37 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <filesystem>
+#include <stdexcept>
 
 namespace crumple {
 
-int bake_command(const BakeCommandOptions& options) {
+namespace {
+
+void bake_one(const BakeOptions& options, const std::filesystem::path& output) {
   const bool terminal = isatty(STDERR_FILENO);
-  const BakeResult result = bake(options.bake, [&](const std::string& what) {
+  const BakeResult result = bake(options, [&](const std::string& what) {
     if (terminal) std::fprintf(stderr, "\r%s\x1b[K", what.c_str());
   });
   if (terminal) std::fprintf(stderr, "\r\x1b[K");
-  write_car(*result.car, options.output);
+  write_car(*result.car, output);
   for (const std::string& line : result.report) std::printf("%s\n", line.c_str());
-  std::printf("%s  %s  %s\n", options.output.c_str(), result.car->hash.c_str(), result.car->attribution.c_str());
+  std::printf("%s  %s  %s\n", output.c_str(), result.car->hash.c_str(), result.car->attribution.c_str());
+}
+
+}  // namespace
+
+int bake_command(const BakeCommandOptions& options) {
+  if (options.nodes.size() > 1 && !options.bake.tets.empty())
+    throw std::runtime_error("--nodes: tets made elsewhere are of one level; give them one by one, or leave --tets out.");
+  for (const size_t nodes : options.nodes) {
+    BakeOptions one = options.bake;
+    one.nodes = nodes;
+    std::filesystem::path output = options.output;
+    if (options.nodes.size() > 1)
+      output.replace_filename(output.stem().string() + "-" + std::to_string(nodes) + output.extension().string());
+    bake_one(one, output);
+  }
   return 0;
 }
 

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "asset/bake.h"
 
@@ -9,7 +10,8 @@ namespace crumple {
 
 struct BakeCommandOptions {
   BakeOptions bake;
-  std::string output;  // the baked car
+  std::vector<size_t> nodes = {2'500};  // more than one: levels of the car
+  std::string output;                   // the baked car; of several NAME-NODES.car
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence: file, fact, remedy.

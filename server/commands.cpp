@@ -1,4 +1,6 @@
 // Commands on a car: spawn, despawn, repair, parameters, save, load. Each is done whole or refused with a sentence.
+#include <algorithm>
+
 #include "state.h"
 #include "wire/encode.h"
 
@@ -41,7 +43,8 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
   }
   ++host->cars;
   Instance& car = world.cars[id];
-  car.car = asset->second;
+  car.levels = &asset->second;
+  car.car = car.levels->front();
   car.host = order.host;
   car.mass = mass_of(order, car.car->model);
   car.body = make_body(car.car->model);
@@ -83,15 +86,19 @@ Verdict obey_order(World&, const Target& target, SaveOrder&&, Bytes& state) {
 }
 
 Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
-  const Car& car = *target.car.car;
-  if (order.asset != car.hash) {
-    return Refusal{Reason::bad_state, "load.state.asset is " + order.asset + "; car " + target.id + " is of asset " + car.hash};
+  const Levels& levels = *target.car.levels;
+  const auto level = std::find_if(levels.begin(), levels.end(), [&](const auto& car) { return car->hash == order.asset; });
+  if (level == levels.end()) {
+    return Refusal{Reason::bad_state, "load.state.asset is " + order.asset + "; car " + target.id + " is of asset " +
+                                          levels.front()->hash + (levels.size() > 1 ? ", and it is no level of it" : "")};
   }
-  if (auto sentence = refuse_state(car.model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
+  const Model& model = (*level)->model;
+  if (auto sentence = refuse_state(model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
+  target.car.car = *level;
   Body& body = target.car.body;
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
-  measure_reach(car.model, body);
+  measure_reach(model, body);
   target.car.told.due = true;
   return std::nullopt;
 }

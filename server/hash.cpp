@@ -49,7 +49,10 @@ void add(const Parameters& parameters, Sum& sum) {
 }
 
 void add(const Instance& car, Sum& sum) {
+  sum.add(car.levels->front()->hash);
   sum.add(car.car->hash);
+  sum.add(car.level_tick);
+  sum.add(double(car.importance));
   sum.add(car.host);
   sum.add(car.mass.mass);
   sum.add(car.mass.inertia);

@@ -35,6 +35,7 @@ Verdict take_poses(World& world, const std::string& host_id, const Bytes& bytes)
       count(world,
             {Reason::not_owner, "poses: car " + intent.car + " is host " + car->second.host + "'s, not " + host_id + "'s"});
     } else {
+      car->second.importance = intent.importance;
       car->second.intent = std::move(intent);
     }
   }

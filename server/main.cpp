@@ -41,7 +41,10 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   verb.add_option("INPUT", bake.input, "OBJ, glTF, GLB, STL, PLY, ...; or built-in: the car that this program makes itself")
       ->required();
   verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
-  verb.add_option("--nodes", bake.nodes, "wanted number of nodes, met within 15 %")
+  verb.add_option("--nodes", options.nodes,
+                  "wanted number of nodes, met within 15 %; several, as in 1000,5000: levels of the car, in CAR-1000.car ...")
+      ->delimiter(',')
+      ->allow_extra_args(false)
       ->check(CLI::Range(100, 200'000))
       ->capture_default_str();
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")
@@ -65,7 +68,7 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
 
 Verb add_serve(CLI::App& app, ServeOptions& options) {
   CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
-  verb.add_option("--car", options.cars, "baked cars that may be spawned")
+  verb.add_option("--car", options.cars, "baked cars that may be spawned; those of the same surface are levels of one car")
       ->required()
       ->check(CLI::ExistingFile)
       ->type_name("CAR");

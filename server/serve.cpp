@@ -245,8 +245,9 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(), net_endpoint(server.net), options.rate,
               server.threads, server.threads == 1 ? "" : "s");
   for (const auto& car : server.cars)
-    std::printf("car %s  %s  %zu nodes  %zu vertices: %s\n", car->hash.c_str(), car->name.c_str(), car->model.node.size(),
-                car->model.vertex.size(), car->attribution.c_str());
+    std::printf("car %s  %s  %zu nodes  %zu vertices  %zu coarser levels: %s\n", car->hash.c_str(), car->name.c_str(),
+                car->model.node.size(), car->model.vertex.size(), coarser_levels(*server.world, car->hash),
+                car->attribution.c_str());
   std::fflush(stdout);
   run(server, stop);
   return finish(server);

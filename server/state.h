@@ -15,14 +15,21 @@
 #include "asset/car.h"
 #include "reconcile.h"
 #include "sim/deform.h"
+#include "sim/transfer.h"
 #include "wire/surface.h"
 #include "world.h"
 
 namespace crumple {
 
+// An asset, and the others of the same surface with fewer nodes, in descending order.
+using Levels = std::vector<std::shared_ptr<const Car>>;
+
 struct Instance {
-  std::shared_ptr<const Car> car;
-  std::string host;  // whose poses move it
+  const Levels* levels = nullptr;  // front: as spawned, and the asset that viewers are told of; the surface is the same
+  std::shared_ptr<const Car> car;  // the level that the body is on
+  uint64_t level_tick = 0;         // in which it came to it
+  float importance = 1;            // as its host said last
+  std::string host;                // whose poses move it
   Mass mass;
   Parameters parameters;
   Body body;
@@ -65,6 +72,7 @@ struct Worker {
   ScratchHandle scratch = make_scratch();
   std::vector<Vec3> vertex;
   std::vector<int16_t> displacement;
+  std::vector<Candidates> near;
   StageTimes times{};
 };
 
@@ -72,8 +80,9 @@ struct World {
   double rate = 60;         // ticks a second
   float quantum = 0.0005f;  // m
   Limits limits;
-  std::map<std::string, std::shared_ptr<const Car>> assets;  // by hash
-  uint64_t tick = 0;                                         // ticks done, or the one being done
+  std::map<std::string, Levels> assets;                                // by hash
+  std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // by hashes: from, to
+  uint64_t tick = 0;                                                   // ticks done, or the one being done
   std::map<std::string, Instance> cars;
   std::map<std::string, Host> hosts;
   std::vector<Obstacle> obstacles;  // of all hosts: by host, then by id
@@ -99,6 +108,9 @@ void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
 Host* find_or_add_host(World&, const std::string& id);
 // Drops a host that has nothing left.
 void release_host(World&, const std::string& id);
+// Brings the car to the level that its importance asks for, if that is another and something comes near it (levels.cpp).
+// Returns whether it did.
+bool change_level(const World&, Instance&, Worker&);
 // Counts a refusal (health.cpp).
 void count(World&, const Refusal&);
 // Answers a query with a refusal; samples get no answer.

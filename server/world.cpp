@@ -36,13 +36,16 @@ bool touched(const Response& response) {
   return response.contacts > 0 || response.deepest > 0 || !response.impulse.isZero(0) || !response.angular_impulse.isZero(0);
 }
 
+// Where the tick starts from: the motion after what the host has sent.
+void receive(const World& world, Instance& car) {
+  if (!car.intent) return;
+  const bool touching = car.touched_tick != 0 && car.touched_tick + 1 == world.tick;
+  car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
+  car.intent.reset();
+}
+
 // The rigid motion and the body, one tick on.
 void move(const World& world, Instance& car, Worker& worker) {
-  if (car.intent) {
-    const bool touching = car.touched_tick != 0 && car.touched_tick + 1 == world.tick;
-    car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
-    car.intent.reset();
-  }
   const Motion before = car.motion;
   RoomTimer timer(world.clock, worker.times);
   car.response = deform(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
@@ -61,14 +64,16 @@ void show(const World& world, Instance& car, Worker& worker) {
   worker.displacement.resize(3 * model.vertex.size());
   skin(model, car.body, worker.vertex);
   quantise(worker.vertex, model.vertex, world.quantum, worker.displacement);
-  car.news = tell({world.tick, car.car->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
+  car.news = tell({world.tick, car.levels->front()->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
 }
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
   const bool idle = car.body.settled && !car.body.touching && !car.told.due && !car.told.flowing;
+  receive(world, car);
+  const bool changed = change_level(world, car, worker);
   move(world, car, worker);
   car.news = {};
-  if (idle && car.response.substeps == 0) return;
+  if (idle && !changed && car.response.substeps == 0) return;
   show(world, car, worker);
   car.hashes = {hash(car.body), hash(car.told.keyframe), hash(car.told.latest)};
 }
@@ -142,7 +147,8 @@ void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox)
     }
     if (one.ticket == 0) continue;
     const Instance& car = found->second;
-    auto parts = encode_keyframe({car.told.keyframe_tick, car.car->hash, world.quantum}, car.told.keyframe, max_vertices);
+    auto parts =
+        encode_keyframe({car.told.keyframe_tick, car.levels->front()->hash, world.quantum}, car.told.keyframe, max_vertices);
     outbox.push_back({one.key, std::move(parts.at(0)), one.ticket});
   }
 }
@@ -191,7 +197,5 @@ WorldHandle make_world(double rate, float quantum, const Limits& limits) {
 }
 
 void WorldDeleter::operator()(World* world) const { delete world; }
-
-void add_asset(World& world, std::shared_ptr<const Car> car) { world.assets.emplace(car->hash, std::move(car)); }
 
 }  // namespace crumple

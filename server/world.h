@@ -32,8 +32,10 @@ using WorldHandle = std::unique_ptr<World, WorldDeleter>;
 
 // rate: ticks a second. quantum: of the surface, m.
 WorldHandle make_world(double rate, float quantum, const Limits& = {});
-// A car that may be spawned from now on; to be called between ticks.
+// A car that may be spawned from now on; to be called between ticks. Assets with the same surface are levels of one car.
 void add_asset(World&, std::shared_ptr<const Car>);
+// How many levels below it an asset has.
+size_t coarser_levels(const World&, const std::string& asset);
 
 // One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
 void tick(World&, const Inbox&, Outbox&, int threads);

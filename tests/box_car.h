@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "asset/build_constraints.h"
+#include "asset/build_skin.h"
 #include "asset/car.h"
 #include "schema/car_generated.h"
 
@@ -86,16 +87,14 @@ inline BoxMesh box_mesh(BoxCells cells, float length = 4.5f) {
   return mesh;
 }
 
-inline std::vector<std::byte> box_car_bytes(BoxCells cells = {}, float mass = 1200, float length = 4.5f) {
-  const BoxMesh mesh = box_mesh(cells, length);
+// surface: of the mesh whose outside is drawn; cars with the same one are levels of one car.
+inline std::vector<std::byte> box_car_bytes(BoxCells cells, float mass, float length, BoxCells surface) {
+  const BoxMesh mesh = box_mesh(cells, length), drawn = box_mesh(surface, length);
   const Constraints constraints = build_constraints(mesh.tets);
   const Masses masses = lump_masses(mesh.tets, constraints.tet_rest, mass);
   std::vector<Vec3> vertex;
-  std::vector<schema::Skin> skin;
-  for (uint32_t node : mesh.surface) {
-    vertex.push_back(mesh.tets.node[node]);
-    skin.emplace_back(node, node, node, node, 1.0f, 0.0f, 0.0f, 0.0f);
-  }
+  for (uint32_t node : drawn.surface) vertex.push_back(drawn.tets.node[node]);
+  const std::vector<Skin> skin = build_skin(mesh.tets, vertex).skin;
   flatbuffers::FlatBufferBuilder builder;
   const auto vec3s = [&](const std::vector<Vec3>& list) {
     return builder.CreateVectorOfStructs(reinterpret_cast<const schema::Vec3*>(list.data()), list.size());
@@ -116,8 +115,8 @@ inline std::vector<std::byte> box_car_bytes(BoxCells cells = {}, float mass = 12
   const auto edge_rest = builder.CreateVector(constraints.edge_rest);
   const auto node_first = builder.CreateVector(constraints.node_first), corner = builder.CreateVector(constraints.corner);
   const auto vertices = vec3s(vertex);
-  const auto triangle = builder.CreateVector(mesh.triangle);
-  const auto skins = builder.CreateVectorOfStructs(skin);
+  const auto triangle = builder.CreateVector(drawn.triangle);
+  const auto skins = builder.CreateVectorOfStructs(reinterpret_cast<const schema::Skin*>(skin.data()), skin.size());
   const auto region = builder.CreateVectorOfStrings({"body"});
   const schema::Vec3 center(masses.center.x(), masses.center.y(), masses.center.z());
   const schema::Vec3 inertia(masses.inertia.x(), masses.inertia.y(), masses.inertia.z());
@@ -146,6 +145,10 @@ inline std::vector<std::byte> box_car_bytes(BoxCells cells = {}, float mass = 12
   schema::FinishCarBuffer(builder, car.Finish());
   const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {data, data + builder.GetSize()};
+}
+
+inline std::vector<std::byte> box_car_bytes(BoxCells cells = {}, float mass = 1200, float length = 4.5f) {
+  return box_car_bytes(cells, mass, length, cells);
 }
 
 inline std::shared_ptr<const Car> box_car(BoxCells cells = {}, float mass = 1200, float length = 4.5f) {

@@ -31,14 +31,15 @@ struct CarPose {
   schema::Vec3 velocity{0, 0, 0};
   schema::Vec3 angular_velocity{0, 0, 0};
   uint64_t seen = 0;
+  float importance = 1;
 };
 
 inline Bytes poses(uint64_t sequence, const std::vector<CarPose>& cars, double time = 0) {
   Builder builder;
   std::vector<flatbuffers::Offset<schema::CarPose>> list;
   for (const CarPose& car : cars) {
-    list.push_back(
-        schema::CreateCarPoseDirect(builder, car.car.c_str(), &car.pose, &car.velocity, &car.angular_velocity, car.seen));
+    list.push_back(schema::CreateCarPoseDirect(builder, car.car.c_str(), &car.pose, &car.velocity, &car.angular_velocity,
+                                               car.seen, car.importance));
   }
   return done(builder, schema::CreatePosesDirect(builder, sequence, time, &list));
 }

@@ -111,6 +111,7 @@ typedef struct CrumpleCarPose {
   float velocity[3];          // of the centre of mass, m/s, world
   float angular_velocity[3];  // rad/s, world
   uint64_t seen;              // tick of the last reaction that pose and velocity contain; 0: the car follows a script
+  float importance;           // in (0, 1]: how much it matters now, which chooses its level; 0: 1
 } CrumpleCarPose;
 // All cars of this host in one message; sequence numbers are the session's own. time: the host's clock, s.
 int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose*, size_t count);

@@ -160,7 +160,8 @@ int crumple_publish_poses(Crumple* session, double time, const CrumpleCarPose* c
       return fail(CRUMPLE_BAD_ARGUMENT, std::string("the velocity of ") + car.car + " is not finite");
     const schema::Pose pose = pose_of(car.pose);
     const schema::Vec3 velocity = vector_of(car.velocity), turn = vector_of(car.angular_velocity);
-    list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen));
+    const float importance = car.importance == 0 ? 1 : car.importance;
+    list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen, importance));
   }
   builder.Finish(schema::CreatePosesDirect(builder, ++session->sequence, time, &list));
   return put(*session, "poses", builder);

@@ -15,6 +15,7 @@ constexpr double coincident_within = 1e-6;  // m: four steps of a float at 2 m
 
 struct Attached {
   Skin skin{};
+  uint32_t tet = 0;
   double distance = 0;  // m, 0 inside
   bool coincident = false;
 };
@@ -47,7 +48,7 @@ Attached attach(const TetMesh& mesh, const BoxTree& tree, const Vec3& vertex) {
   const Nearest found = find_nearest(tree, point, measure);
   Attached out;
   out.distance = std::sqrt(found.squared_distance);
-  const uint32_t tet = found.index;
+  const uint32_t tet = out.tet = found.index;
   for (uint32_t k = 0; k < 4; ++k) {
     if ((mesh.node[mesh.tet[tet].node[k]].cast<double>() - point).norm() > coincident_within) continue;
     out.coincident = true;
@@ -83,6 +84,7 @@ SkinResult build_skin(const TetMesh& mesh, std::span<const Vec3> vertices) {
   SkinResult out;
   for (const Attached& one : attached) {
     out.skin.push_back(one.skin);
+    out.tet.push_back(one.tet);
     ++(one.coincident ? out.coincident : one.distance == 0 ? out.contained : out.nearest);
     out.distance.push_back(one.coincident ? 0 : one.distance);
     out.farthest = std::max(out.farthest, out.distance.back());

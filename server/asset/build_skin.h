@@ -12,6 +12,7 @@ namespace crumple {
 
 struct SkinResult {
   std::vector<Skin> skin;        // one a vertex
+  std::vector<uint32_t> tet;     // that it hangs on
   std::vector<double> distance;  // m, of a vertex from its tet; 0 on a node or inside
   size_t coincident = 0;         // within 1e-6 m of a node
   size_t contained = 0;

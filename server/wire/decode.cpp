@@ -16,6 +16,7 @@ Intent read(const schema::CarPose& from, const Place& place, Checker& check) {
   intent.motion.angular_velocity =
       check.vector(place, "angular_velocity", *from.angular_velocity(), check.limits.fastest_turn, "rad/s");
   intent.seen = from.seen();
+  intent.importance = check.number(place, "importance", from.importance(), 0, 1, "");
   return intent;
 }
 

@@ -31,6 +31,7 @@ struct Intent {
   std::string car;
   Motion motion;
   uint64_t seen = 0;  // tick of the last reaction that motion contains; 0: none, a scripted car
+  float importance = 1;
 };
 struct Intents {
   uint64_t sequence = 0;

@@ -1,0 +1,61 @@
+#include "sim/transfer.h"
+
+#include <Eigen/Dense>
+
+#include "sim/flow.h"
+
+namespace crumple {
+namespace {
+
+constexpr double sound = 0.02;  // smallest determinant of a shape that counts as one, as in flow.h
+
+using Matrix = Eigen::Matrix3d;
+
+// Row k: the gradient of corner k + 1.
+Matrix rows(const Gradients& gradients) {
+  Matrix out;
+  for (int k = 0; k < 3; ++k) out.row(k) = gradients.corner[k].cast<double>().transpose();
+  return out;
+}
+
+Matrix shape(const Tet& tet, const std::vector<Vec3>& node, const Gradients& gradients) {
+  const uint32_t* n = tet.node;
+  return deformation(node[n[0]], node[n[1]], node[n[2]], node[n[3]], gradients).cast<double>();
+}
+
+}  // namespace
+
+Body transfer(const Model& from, const Model& to, const LevelMap& map, const Body& body) {
+  Body out = make_body(to);
+  for (size_t i = 0; i < out.node.size(); ++i) {
+    if (to.node_anchored[i]) continue;
+    const Skin& s = map.node[i];
+    for (int k = 0; k < 4; ++k) out.node[i] += s.weight[k] * (body.node[s.node[k]] - from.node[s.node[k]]);
+  }
+  // With F the whole deformation and F_p its plastic part, gradients = rest gradients * F_p^-1, and F F_p^-1 is what carries
+  // stress. The new tet has an F of its own; its F_p follows.
+  for (size_t t = 0; t < out.gradients.size(); ++t) {
+    const uint32_t source = map.tet[t];
+    out.hardening[t] = body.hardening[source];
+    if (!(out.hardening[t] > 0)) continue;  // never flowed
+    const Matrix rest = rows(to.gradients[t]);
+    const Matrix whole = shape(to.tet[t], out.node, to.gradients[t]);
+    const Matrix elastic = shape(from.tet[source], body.node, body.gradients[source]);
+    Matrix plastic;  // inverse
+    if (whole.determinant() > sound && elastic.determinant() > sound) {
+      plastic = whole.inverse() * elastic;
+    } else {
+      plastic = rows(from.gradients[source]).inverse() * rows(body.gradients[source]);
+    }
+    const Matrix flowed = rest * plastic;
+    for (int k = 0; k < 3; ++k) out.gradients[t].corner[k] = flowed.row(k).transpose().cast<float>();
+  }
+  out.absorbed = body.absorbed;
+  out.stored = body.stored;
+  out.lost = body.lost;
+  out.settled = body.settled;
+  measure_reach(to, out);
+  return out;
+}
+
+}  // namespace crumple
