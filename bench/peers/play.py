@@ -22,7 +22,7 @@ import numpy as np
 
 import scene as play
 
-jolt_folder = pathlib.Path(__file__).resolve().parents[2] / "build/bench/jolt"
+bench_folder = pathlib.Path(__file__).resolve().parents[2] / "build/bench"
 
 
 def clock(work):
@@ -31,25 +31,41 @@ def clock(work):
     return 1e3 * (time.perf_counter() - begin), result
 
 
+def little_endian(scene):
+    """The scene as the programs read it: counts, dt, speed; nodes, edges, tets with inverse masses and compliances."""
+    inverse_mass = np.where(scene.fixed(), 0, 1 / scene.mass)
+    edge = np.empty(len(scene.edge), [("node", "<i4", 2), ("compliance", "<f4")])
+    edge["node"], edge["compliance"] = scene.edge, 1 / scene.edge_stiffness
+    tet = np.empty(len(scene.tet), [("node", "<i4", 4), ("compliance", "<f4")])
+    tet["node"], tet["compliance"] = scene.tet, 36 / scene.volume_stiffness  # Jolt's constraint is on six volumes
+    return (struct.pack("<iiiff", len(scene.node), len(tet), len(edge), play.dt, play.speed)
+            + np.column_stack([scene.node, inverse_mass, scene.pushed]).astype("<f4").tobytes()
+            + edge.tobytes() + tet.tobytes())
+
+
+def program(scene, *command):
+    """What a program of its own prints and finds; SCENE and OUT in its command are files."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = {"SCENE": pathlib.Path(folder) / "scene.bin", "OUT": pathlib.Path(folder) / "out.bin"}
+        files["SCENE"].write_bytes(little_endian(scene))
+        text = subprocess.run([str(files.get(word, word)) for word in command], check=True, capture_output=True,
+                              text=True).stdout
+        return json.loads(text.splitlines()[-1]), np.fromfile(files["OUT"], "<f4").reshape(-1, 3)
+
+
+def crumple(scene, model, threads, iterations):
+    """Ours; an iteration is a sweep, and the model says how many sub-steps there are in a step."""
+    substeps = int(model.split()[1])
+    answer, found = program(scene, bench_folder / "crumple_peer", "SCENE", "OUT", threads, substeps, iterations, play.steps)
+    return "crumple", answer["build_ms"], answer["ms"], found
+
+
 def jolt(scene, model, threads, iterations):
     """XPBD on edges and volumes with physical compliances; an iteration is a sub-step."""
-    with tempfile.TemporaryDirectory() as folder:
-        name = pathlib.Path(folder) / "scene.bin"
-        inverse_mass = np.where(scene.fixed(), 0, 1 / scene.mass)
-        edge = np.empty(len(scene.edge), [("node", "<i4", 2), ("compliance", "<f4")])
-        edge["node"], edge["compliance"] = scene.edge, 1 / scene.edge_stiffness
-        tet = np.empty(len(scene.tet), [("node", "<i4", 4), ("compliance", "<f4")])
-        tet["node"], tet["compliance"] = scene.tet, 36 / scene.volume_stiffness  # Jolt's constraint is on six volumes
-        name.write_bytes(struct.pack("<iiiff", len(scene.node), len(tet), len(edge), play.dt, play.speed)
-                         + np.column_stack([scene.node, inverse_mass, scene.pushed]).astype("<f4").tobytes()
-                         + edge.tobytes() + tet.tobytes())
-        out = pathlib.Path(folder) / "out.bin"
-        jars = ":".join(str(jar) for jar in jolt_folder.glob("*.jar"))
-        text = subprocess.run(
-            ["java", "-cp", f"{jolt_folder}:{jars}", "JoltPeer", jolt_folder / "libjoltjni.so", name, out, str(threads),
-             str(iterations), str(play.steps)], check=True, capture_output=True, text=True).stdout
-        found = np.fromfile(out, "<f4").reshape(-1, 3)
-    answer = json.loads(text.splitlines()[-1])
+    folder = bench_folder / "jolt"
+    jars = ":".join(str(jar) for jar in folder.glob("*.jar"))
+    answer, found = program(scene, "java", "-cp", f"{folder}:{jars}", "JoltPeer", folder / "libjoltjni.so", "SCENE", "OUT",
+                            threads, iterations, play.steps)
     return f"jolt-jni {answer['version']}", answer["build_ms"], answer["ms"], found
 
 
