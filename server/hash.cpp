@@ -51,6 +51,12 @@ void add(const Parameters& parameters, Sum& sum) {
 void add(const Instance& car, Sum& sum) {
   sum.add(car.levels->front()->hash);
   sum.add(car.car->hash);
+  sum.add(uint64_t(car.sweeps));
+  sum.add(uint64_t(car.fresh));
+  sum.add(uint64_t(car.response.sweeps));
+  sum.add(uint64_t(car.response.substeps));
+  sum.add(car.response.work);
+  sum.add(double(car.response.residual));
   sum.add(car.level_tick);
   sum.add(double(car.importance));
   sum.add(car.host);
@@ -88,6 +94,7 @@ uint64_t hash(const World& world) {
   sum.add(world.tick);
   sum.add(world.rate);
   sum.add(double(world.quantum));
+  sum.add(world.budget);
   for (const auto& [id, car] : world.cars) {
     sum.add(id);
     add(car, sum);

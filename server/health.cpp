@@ -1,8 +1,16 @@
 // What the server tells about itself: times of its rooms, counts against their limits, refusals by reason.
+#include <algorithm>
+#include <cmath>
+
 #include "state.h"
 #include "wire/encode.h"
 
 namespace crumple {
+namespace {
+
+uint64_t nanometres(double metres) { return uint64_t(std::llround(1e9 * std::min(metres, 1e9))); }
+
+}  // namespace
 
 void count(World& world, const Refusal& refusal) {
   ++world.tally.refusals[size_t(refusal.reason)];
@@ -36,10 +44,15 @@ Message health(World& world, uint64_t late, const std::vector<std::pair<std::str
       {"messages", tally.messages, 0},
       {"contacts_per_node_overflows", tally.contact_overflows, 0},
       {"recoveries", tally.recoveries, 0},
+      {"work_most", tally.most_work, world.budget},
+      {"work_shed", tally.work_shed, 0},
+      {"residual_mean_nm", nanometres(tally.solved > 0 ? tally.residual_sum / double(tally.solved) : 0), 0},
+      {"residual_worst_nm", nanometres(tally.residual_worst), 0},
   };
   for (const auto& [name, value] : more_counts) report.counts.push_back({name, value, 0});
   for (size_t i = 0; i < reason_count; ++i) report.refusals.push_back({reason_names[i], tally.refusals[i], 0});
-  tally.ticks = 0;
+  tally.ticks = tally.solved = tally.most_work = 0;
+  tally.residual_sum = tally.residual_worst = 0;
   tally.sum = tally.worst = {};
   return {"health", encode_health(report)};
 }

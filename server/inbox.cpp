@@ -73,6 +73,13 @@ Verdict take_obstacles(World& world, const std::string& host_id, const Bytes& by
   return std::nullopt;
 }
 
+Verdict take_budget(World& world, const Bytes& bytes) {
+  Budget budget;
+  if (Verdict refusal = decode(bytes, world.limits, budget)) return refusal;
+  world.budget = budget.work;
+  return std::nullopt;
+}
+
 Verdict take_command(World& world, const std::string& car, const Bytes& bytes, Bytes& state) {
   Order order;
   if (Verdict refusal = decode(bytes, world.limits, order)) return refusal;
@@ -99,6 +106,9 @@ void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& 
         case Address::Kind::keyframe:
           asked.push_back({message.key, to.id, message.ticket});
           continue;
+        case Address::Kind::budget:
+          refusal = take_budget(world, message.bytes);
+          break;
         case Address::Kind::command:
           refusal = take_command(world, to.id, message.bytes, state);
           command = true;

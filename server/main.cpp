@@ -81,6 +81,11 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
       ->check(CLI::Range(0, 256))
       ->capture_default_str();
+  verb.add_option("--budget", options.budget_ms,
+                  "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
+                  "0: no limit; default: 80 % of a tick")
+      ->check(CLI::NonNegativeNumber)
+      ->type_name("MS");
   verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
       ->check(CLI::Range(0.001, 100.0))
       ->capture_default_str();

@@ -55,6 +55,7 @@ void need(int status) {
 Channel channel_of(std::string_view key) {
   const auto ends = [&](std::string_view end) { return key.ends_with(end); };
   if (key == "health") return Channel::health;
+  if (key == "budget") return Channel::budget;
   if (key == "tick") return Channel::tick_end;
   if (key.starts_with("host/")) {
     if (ends("/poses")) return Channel::poses;
@@ -75,6 +76,8 @@ const char* table_of(Channel channel) {
       return "crumple.schema.Poses";
     case Channel::obstacles:
       return "crumple.schema.Obstacles";
+    case Channel::budget:
+      return "crumple.schema.Budget";
     case Channel::command:
       return "crumple.schema.Command";
     case Channel::reactions:

@@ -3,7 +3,8 @@
 //   attachments   each car that could be spawned: name = its hash, the bytes of the baked file
 //   metadata      "crumple": program, scene, started, rate, quantum, and each limit under its name
 //   messages      topic = the key on the wire, "crumple/1/{scene}/...", schema = the FlatBuffers table, sequence = the tick
-//     .../host/{host}/poses, .../obstacles, .../car/{car} (Command)    inputs, in the order in which the tick takes them
+//     .../host/{host}/poses, .../obstacles, .../car/{car} (Command), .../budget    inputs, in the order in which the
+//                                                                       tick takes them
 //     .../host/{host}/reactions, .../car/{car}/key, .../delta/0, .../health    outputs
 //     .../car/{car}/answer                                              output: Answer to the Command
 //     .../tick                                                          TickEnd
@@ -37,7 +38,7 @@ struct RecordingHead {
 };
 
 // "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.
-enum class Channel { poses, obstacles, command, reactions, keyframe, delta, answer, health, tick_end, other };
+enum class Channel { poses, obstacles, budget, command, reactions, keyframe, delta, answer, health, tick_end, other };
 Channel channel_of(std::string_view key);
 // Its table's name in the schema; "" for other.
 const char* table_of(Channel);

@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <ctime>
 #include <map>
@@ -28,6 +29,28 @@ constexpr uint32_t command_depth = 1'000;  // queries waiting
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
 // cannot keep up slows down, and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;
+constexpr double budget_share = 0.8;  // of a tick, that it may take unless told otherwise
+
+// What the budget is in tet visits, which is all that the world knows. Learned from ticks that say something about it: those
+// that took long, and those that were cut short. Until there is one there is no limit.
+struct Pace {
+  double limit = 0;   // s a tick; 0: none
+  double visit = 0;   // s, with all threads and what else a tick does; 0: not known yet
+  uint64_t said = 0;  // the last budget
+
+  void learn(double seconds, const Work& work) {
+    if (work.done == 0 || (seconds < 0.5 * limit && work.shed == 0)) return;
+    const double now = seconds / double(work.done);
+    visit = visit > 0 ? 0.8 * visit + 0.2 * now : now;
+  }
+  // A new budget, if it is another by more than 5 %.
+  std::optional<uint64_t> next() {
+    if (limit == 0 || visit == 0) return std::nullopt;
+    const double budget = std::max(1.0, limit / visit);
+    if (std::abs(budget - double(said)) <= 0.05 * double(said)) return std::nullopt;
+    return said = uint64_t(budget);
+  }
+};
 
 struct Server {
   const ServeOptions& options;
@@ -39,6 +62,7 @@ struct Server {
   std::set<std::string, std::less<>> announced;  // cars
   Inbox inbox;
   Outbox outbox;
+  Pace pace;
   uint64_t late = 0;
   int threads = 1;
 
@@ -150,9 +174,12 @@ void publish(Server& server, const Message& message) {
 
 void run_tick(Server& server) {
   const uint64_t number = tick_count(*server.world) + 1;
+  if (const auto budget = server.pace.next()) server.inbox.push_back(budget_message(*budget));
   if (server.recording)
     for (const Message& message : server.inbox) server.recording->input(number, message, wall_ns());
+  const auto begun = Clock::now();
   tick(*server.world, server.inbox, server.outbox, server.threads);
+  server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), work(*server.world));
   announce_cars(server);
   for (const Message& message : server.outbox) publish(server, message);
   if (server.recording) {
@@ -178,10 +205,12 @@ void publish_health(Server& server) {
   publish(server, report);
   if (server.recording) server.recording->output(tick_count(*server.world), report, wall_ns());
   if (isatty(STDOUT_FILENO)) {
-    std::printf("\rtick %llu  cars %zu  late %llu  refused %llu  sent %.1f MB \x1b[K",
+    const Work last = work(*server.world);
+    std::printf("\rtick %llu  cars %zu  late %llu  shed %.0f %%  refused %llu  sent %.1f MB \x1b[K",
                 static_cast<unsigned long long>(tick_count(*server.world)), server.announced.size(),
-                static_cast<unsigned long long>(server.late), static_cast<unsigned long long>(refusal_count(*server.world)),
-                1e-6 * static_cast<double>(stats.put_bytes));
+                static_cast<unsigned long long>(server.late),
+                100.0 * static_cast<double>(last.shed) / std::max(1.0, static_cast<double>(last.done + last.shed)),
+                static_cast<unsigned long long>(refusal_count(*server.world)), 1e-6 * static_cast<double>(stats.put_bytes));
     std::fflush(stdout);
   }
 }
@@ -240,6 +269,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   Server server(options);
   server.root = "crumple/1/" + options.scene + "/";
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  server.pace.limit = options.budget_ms < 0 ? budget_share / options.rate : 1e-3 * options.budget_ms;
   start_world(server);
   open_network(server);
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(), net_endpoint(server.net), options.rate,

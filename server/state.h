@@ -39,9 +39,13 @@ struct Instance {
   // Of body, told.keyframe and told.latest; kept, because most cars are idle in most ticks.
   std::array<uint64_t, 3> hashes{};
   Told told;
+  // The last ticks', from which this one's share of the budget follows.
+  uint16_t sweeps = 0;  // of a sub-step, that it may make at most
+  Response response;
+  uint8_t fresh = 0;  // ticks in which more of it may take part than did in the last one: it is being woken
   // Of one tick.
   std::optional<Intent> intent;  // the latest; consumed
-  Response response;
+  bool changed = false;          // it came to another level
   News news;
 };
 
@@ -61,9 +65,15 @@ struct Tally {
   std::array<uint64_t, reason_count> refusals{};
   std::string last_refusal;
   uint64_t messages = 0;
-  uint64_t contact_overflows = 0;  // car ticks in which a node met too many obstacles
-  uint64_t recoveries = 0;         // car ticks that ended non-finite and were undone
-  uint64_t ticks = 0;              // since the last health
+  uint64_t contact_overflows = 0;    // car ticks in which a node met too many obstacles
+  uint64_t recoveries = 0;           // car ticks that ended non-finite and were undone
+  uint64_t shed = 0, work_shed = 0;  // tet visits asked for and not allowed: in the last tick, in all
+  uint64_t work = 0;                 // tet visits of the last tick
+  // Since the last health:
+  uint64_t most_work = 0;                       // of a tick
+  double residual_sum = 0, residual_worst = 0;  // m, of the cars that were solved
+  uint64_t solved = 0;                          // car ticks
+  uint64_t ticks = 0;
   StageTimes now{}, sum{}, worst{};
 };
 
@@ -80,6 +90,7 @@ struct World {
   double rate = 60;         // ticks a second
   float quantum = 0.0005f;  // m
   Limits limits;
+  uint64_t budget = 0;                                                 // tet visits a tick; 0: as many as are asked for
   std::map<std::string, Levels> assets;                                // by hash
   std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // by hashes: from, to
   uint64_t tick = 0;                                                   // ticks done, or the one being done
@@ -111,6 +122,8 @@ void release_host(World&, const std::string& id);
 // Brings the car to the level that its importance asks for, if that is another and something comes near it (levels.cpp).
 // Returns whether it did.
 bool change_level(const World&, Instance&, Worker&);
+// How many sweeps each car may make in this tick (budget.cpp).
+void ration(World&, const std::vector<Instance*>&);
 // Counts a refusal (health.cpp).
 void count(World&, const Refusal&);
 // Answers a query with a refusal; samples get no answer.

@@ -14,6 +14,8 @@ namespace {
 constexpr uint64_t reaction_echo =
     30;  // ticks after the last touch in which a host is still told: one lost reaction is no loss
 
+constexpr uint8_t waking = 3;  // ticks in which what an obstacle has touched spreads over the body
+
 class RoomTimer final : public Timer {
  public:
   RoomTimer(const std::function<double()>& clock, StageTimes& times) : clock_(clock), times_(times) {}
@@ -48,7 +50,9 @@ void receive(const World& world, Instance& car) {
 void move(const World& world, Instance& car, Worker& worker) {
   const Motion before = car.motion;
   RoomTimer timer(world.clock, worker.times);
-  car.response = deform(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
+  Parameters parameters = car.parameters;
+  parameters.iterations = car.sweeps;
+  car.response = deform(car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
                         car.motion, world.clock ? &timer : nullptr);
   const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
                                   car.motion.angular_velocity - before.angular_velocity};
@@ -67,18 +71,70 @@ void show(const World& world, Instance& car, Worker& worker) {
   car.news = tell({world.tick, car.levels->front()->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
 }
 
-void advance_car(const World& world, Instance& car, Worker& worker) {
-  const bool idle = car.body.settled && !car.body.touching && !car.told.due && !car.told.flowing;
+// Whether something may meet a car at rest within the tick. What stands still beside it does not.
+bool woken_soon(const World& world, const Instance& car, Worker& worker) {
+  find_candidates(car.car->model, car.body, car.motion, car.mass, world.obstacles, 1 / world.rate, worker.near);
+  const bool moves = !car.motion.velocity.isZero(0) || !car.motion.angular_velocity.isZero(0);
+  return std::any_of(worker.near.begin(), worker.near.end(), [&](const Candidates& near) {
+    const Obstacle& obstacle = world.obstacles[near.obstacle];
+    return moves || !obstacle.velocity.isZero(0) || !obstacle.angular_velocity.isZero(0);
+  });
+}
+
+// Where the car stands, on which level, and whether it will take part.
+void prepare_car(const World& world, Instance& car, Worker& worker) {
   receive(world, car);
-  const bool changed = change_level(world, car, worker);
+  car.changed = change_level(world, car, worker);
+  if (world.budget == 0) return;
+  if (!car.body.settled && car.response.sweeps > 0) {
+    if (car.fresh > 0) --car.fresh;
+    return;
+  }
+  car.fresh = !car.body.settled || woken_soon(world, car, worker) ? waking : 0;
+}
+
+void advance_car(const World& world, Instance& car, Worker& worker) {
+  const bool idle = car.body.settled && !car.body.touching && !car.told.due && !car.told.flowing && !car.changed;
   move(world, car, worker);
   car.news = {};
-  if (idle && !changed && car.response.substeps == 0) return;
+  if (idle && car.response.substeps == 0) return;
   show(world, car, worker);
   car.hashes = {hash(car.body), hash(car.told.keyframe), hash(car.told.latest)};
 }
 
 // Cars know nothing of each other within a tick, so any number of workers gives the same.
+template <class Step>
+void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_once, const Step& step) {
+  world.arena->execute([&] {
+    tbb::parallel_for(
+        tbb::blocked_range<size_t>(0, cars.size(), at_once),
+        [&](const tbb::blocked_range<size_t>& range) {
+          Worker& worker = world.workers.local();
+          // While a car waits for its helpers this thread must not begin another car with the same memory.
+          tbb::this_task_arena::isolate([&] {
+            for (size_t i = range.begin(); i < range.end(); ++i) step(world, *cars[i], worker);
+          });
+        },
+        tbb::simple_partitioner{});
+  });
+}
+
+void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
+  tally.work = 0;
+  for (const Instance* car : cars) {
+    const Response& response = car->response;
+    tally.contact_overflows += response.contact_overflow;
+    tally.recoveries += response.recovered;
+    tally.work += response.work;
+    if (response.sweeps == 0) continue;
+    ++tally.solved;
+    tally.residual_sum += double(response.residual);
+    tally.residual_worst = std::max(tally.residual_worst, double(response.residual));
+  }
+  tally.most_work = std::max(tally.most_work, tally.work);
+  tally.work_shed += tally.shed;
+}
+
 void advance_cars(World& world, int threads) {
   if (!world.arena || world.arena_threads != threads) {
     world.arena.emplace(threads);
@@ -86,26 +142,14 @@ void advance_cars(World& world, int threads) {
   }
   std::vector<Instance*> cars;
   for (auto& [id, car] : world.cars) cars.push_back(&car);
-  world.arena->execute([&] {
-    tbb::parallel_for(
-        tbb::blocked_range<size_t>(0, cars.size(), 1),
-        [&](const tbb::blocked_range<size_t>& range) {
-          Worker& worker = world.workers.local();
-          // While a car waits for its helpers this thread must not begin another car with the same memory.
-          tbb::this_task_arena::isolate([&] {
-            for (size_t i = range.begin(); i < range.end(); ++i) advance_car(world, *cars[i], worker);
-          });
-        },
-        tbb::simple_partitioner{});
-  });
+  for_each_car(world, cars, 16, prepare_car);
+  ration(world, cars);
+  for_each_car(world, cars, 1, advance_car);
   for (Worker& worker : world.workers) {
     for (size_t i = 0; i < worker.times.size(); ++i) world.tally.now[i] += worker.times[i];
     worker.times = {};
   }
-  for (const Instance* car : cars) {
-    world.tally.contact_overflows += car->response.contact_overflow;
-    world.tally.recoveries += car->response.recovered;
-  }
+  tally_up(cars, world.tally);
 }
 
 void move_obstacles(World& world) {

@@ -40,6 +40,15 @@ size_t coarser_levels(const World&, const std::string& asset);
 // One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
 void tick(World&, const Inbox&, Outbox&, int threads);
 
+// What the sweeps of the last tick came to, and what they would have come to beyond it without a budget: tet visits.
+struct Work {
+  uint64_t done, shed;
+};
+Work work(const World&);
+// An input that sets the budget of the ticks from then on: tet visits a tick; 0: none. Only the program sends it: the world
+// knows no clock, and so what it is measured by is recorded like all inputs.
+Message budget_message(uint64_t visits);
+
 // Everything that the next tick depends on. The same after the same inboxes, for any thread count.
 uint64_t hash(const World&);
 // Ticks done. The first is 1, so that 0 can stand for none.

@@ -122,8 +122,11 @@ class EndToEnd : public testing::Test {
     ASSERT_NE(at, std::string::npos) << server->text;
     endpoint = server->text.substr(at, server->text.find(',', at) - at);
   }
-  void start_server(const std::string& recording) {
-    start({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0", "--record", recording, "--threads", "2"});
+  void start_server(const std::string& recording, const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"serve",    "--car",   car_file.string(), "--listen", "tcp/127.0.0.1:0",
+                                          "--record", recording, "--threads",       "2"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    start(arguments);
   }
 
   Crumple* open(const char* host = nullptr) {
@@ -200,6 +203,22 @@ class EndToEnd : public testing::Test {
   std::unique_ptr<Process> server;
   std::vector<Crumple*> sessions;
 };
+
+TEST_F(EndToEnd, AnOverloadedServerShedsWorkAndItsRecordingVerifies) {
+  start_server(path("overload.mcap"), {"--budget", "0.001"});
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  server->send(SIGINT);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  std::ifstream file(path("overload.mcap"), std::ios::binary);
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  EXPECT_NE(text.find("crumple/1/main/budget"), std::string::npos) << "the budget is one of the recorded inputs";
+  const Outcome outcome = run({"replay", path("overload.mcap"), "--verify"});
+  EXPECT_EQ(outcome.code, 0) << outcome.text;
+}
 
 TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   start_server(path("session.mcap"));

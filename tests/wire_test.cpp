@@ -37,13 +37,15 @@ Message expect_taken(const Bytes& bytes, const Limits& limits = {}) {
 }
 
 TEST(Decode, TakesPosesAndNormalisesOrientations) {
-  CarPose car{"a", {{1, 2, 3}, {0, 0, 0, 1.0009f}}, {4, 5, 6}, {7, 8, 9}, 12};
+  CarPose car{"a", {{1, 2, 3}, {0, 0, 0, 1.0009f}}, {4, 5, 6}, {7, 8, 9}, 12, 0.25f};
   const auto intents = expect_taken<Intents>(host::poses(5, {car, {"b"}}, 1.5));
   EXPECT_EQ(intents.sequence, 5u);
   EXPECT_EQ(intents.time, 1.5);
   ASSERT_EQ(intents.cars.size(), 2u);
   EXPECT_EQ(intents.cars[0].car, "a");
   EXPECT_EQ(intents.cars[0].seen, 12u);
+  EXPECT_EQ(intents.cars[0].importance, 0.25f);
+  EXPECT_EQ(intents.cars[1].importance, 1.0f);
   EXPECT_EQ(intents.cars[0].motion.pose.position, Eigen::Vector3d(1, 2, 3));
   EXPECT_EQ(intents.cars[0].motion.pose.orientation.w(), 1);
   EXPECT_EQ(intents.cars[0].motion.velocity, Eigen::Vector3d(4, 5, 6));
@@ -65,6 +67,9 @@ TEST(Decode, RefusesAPoseFieldByFieldAndNamesIt) {
                           "cars[1].velocity is 501 m/s long; 500 m/s");
   expect_refused<Intents>(with({"a", pose_at(0), {0, -infinity, infinity}}), Reason::non_finite, "cars[1].velocity");
   expect_refused<Intents>(with({"a", pose_at(0), {0, 0, 0}, {1001, 0, 0}}), Reason::out_of_range, "cars[1].angular_velocity");
+  CarPose vain{"a"};
+  vain.importance = 1.5f;
+  expect_refused<Intents>(with(vain), Reason::out_of_range, "cars[1].importance is 1.5; allowed are 0 to 1");
   expect_refused<Intents>(with({"first"}), Reason::duplicate, "cars names first twice");
   expect_refused<Intents>(host::poses(1, {{"a"}}, nan), Reason::non_finite, "time");
 }
@@ -374,6 +379,8 @@ TEST(Encode, AnswersSayWhyNot) {
   EXPECT_EQ(read->sentence()->str(), "car a does not live here");
   EXPECT_EQ(read->state(), nullptr);
 }
+
+TEST(Encode, ABudgetIsReadBack) { EXPECT_EQ(expect_taken<Budget>(encode_budget(1ull << 40)).work, 1ull << 40); }
 
 TEST(Encode, ATickEndIsReadBack) {
   const Bytes bytes = encode_tick_end({1, 2, 3});

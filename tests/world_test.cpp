@@ -556,6 +556,7 @@ std::vector<Sample> samples() {
          p.add_young_modulus(1e6f);
          p.add_yield(0.1f);
        })},
+      {"budget", "budget", budget_message(1).bytes},
       {"save", "car/a", host::save()},
       {"load", "car/a", host::load(state)},
   };

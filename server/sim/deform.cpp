@@ -256,6 +256,7 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
     hold_anchors(model, scratch, body);
     scratch.start = body.node;
     const Effort effort = solve_nodal(model, parameters, mass.mass, h, h / now.last, scratch, body);
+    response.sweeps += effort.sweeps;
     response.work += effort.work;
     response.residual = std::max(response.residual, effort.residual);
   }

@@ -27,6 +27,7 @@ struct Response {
   float deepest = 0;                                          // the farthest that an obstacle pushed a node, m
   uint32_t contacts = 0;                                      // nodes held at the end
   uint32_t substeps = 0;                                      // solved; 0: nothing was near and the body was settled
+  uint32_t sweeps = 0;                                        // of all sub-steps together
   uint64_t work = 0;                                          // tets visited by sweeps
   float residual = 0;             // what the last sweeps of a sub-step moved, rms over awake nodes, the largest, m
   bool contact_overflow = false;  // a node met more than contacts_per_node obstacles: the deepest were kept

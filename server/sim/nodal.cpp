@@ -465,7 +465,7 @@ Effort solve_nodal(const Model& model, const Parameters& parameters, double mass
   sweep(blocks, view, scratch.team);
   for (uint32_t i = 0; i < count; ++i) body.node[i] = vec(scratch.node[i]);
   const auto stirred = uint64_t(std::count(scratch.stirred.begin(), scratch.stirred.end(), uint8_t(1)));
-  return {lanes * stirred * uint64_t(done), std::sqrt(float(mean))};
+  return {uint32_t(done), lanes * stirred * uint64_t(done), std::sqrt(float(mean))};
 }
 
 double flow_nodal(const Model& model, Scratch& scratch, Body& body) {

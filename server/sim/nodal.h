@@ -30,6 +30,7 @@ inline constexpr int sweeps_a_step = 2;
 void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
 
 struct Effort {
+  uint32_t sweeps = 0;
   uint64_t work = 0;   // tets visited by sweeps
   float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
 };

@@ -252,6 +252,12 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& ou
   return check.refusal;
 }
 
+Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Budget& out) {
+  Checker check{limits};
+  if (const auto* from = verified<schema::Budget>(bytes, "budget", "Budget", 1, check)) out = {from->work()};
+  return check.refusal;
+}
+
 Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
   const Limits limits;
   Checker check{limits};
@@ -268,6 +274,10 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
   const size_t second = rest.find('/');
   const std::string_view id = rest.substr(0, second);
   const std::string_view tail = second == rest.npos ? std::string_view{} : rest.substr(second + 1);
+  if (key == "budget") {
+    out.kind = Address::Kind::budget;
+    return std::nullopt;
+  }
   if (kind == "host" && tail == "poses") {
     out.kind = Address::Kind::poses;
   } else if (kind == "host" && tail == "obstacles") {

@@ -23,8 +23,8 @@ using Bytes = std::vector<std::byte>;
 
 // A key below crumple/1/{scene}/ that the server listens on.
 struct Address {
-  enum class Kind { poses, obstacles, command, keyframe } kind;
-  std::string id;  // of the host (poses, obstacles) or the car
+  enum class Kind { poses, obstacles, command, keyframe, budget } kind;
+  std::string id;  // of the host (poses, obstacles) or the car; of a budget none
 };
 
 struct Intent {
@@ -70,11 +70,16 @@ struct LoadOrder {
 };
 using Order = std::variant<SpawnOrder, DespawnOrder, RepairOrder, ParametersOrder, SaveOrder, LoadOrder>;
 
+struct Budget {
+  uint64_t work = 0;  // tet visits a tick; 0: no limit
+};
+
 [[nodiscard]] Verdict decode(std::string_view key, const Limits&, Address&);
 // Bytes must be aligned to 8. On a refusal what came out is meaningless.
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Intents&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, ObstacleList&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Order&);
+[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Budget&);
 
 // Of a recording.
 struct TickEnd {

@@ -62,6 +62,11 @@ Bytes encode_tick_end(const TickEnd& end) {
   return finish(builder, schema::CreateTickEnd(builder, end.tick, end.hash, end.lost_inputs));
 }
 
+Bytes encode_budget(uint64_t work) {
+  flatbuffers::FlatBufferBuilder builder(64);
+  return finish(builder, schema::CreateBudget(builder, work));
+}
+
 Bytes encode_health(const HealthReport& report) {
   flatbuffers::FlatBufferBuilder builder;
   std::vector<flatbuffers::Offset<schema::Room>> rooms;

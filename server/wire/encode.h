@@ -22,6 +22,7 @@ Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction
 Bytes encode_answer(uint64_t tick, const Verdict&, const Bytes& state = {});
 Bytes encode_state(const std::string& asset, const Body&);
 Bytes encode_tick_end(const TickEnd&);
+Bytes encode_budget(uint64_t work);
 
 struct HealthReport {
   struct Room {
