@@ -3,7 +3,7 @@
     chart.py FOLDER [--quick]
 
 in: chart.csv (crumple_chart) in FOLDER, and what else of bench/run is there: peers.csv and peers_convergence.csv (bench/peers),
-stability.csv, outside.csv (crumple_outside), the reports of crumple_bench in cars/*.json, tables.md. out: page.md and its PNGs in FOLDER. A bar whose
+scene.csv (crumple_scene), stability.csv, outside.csv (crumple_outside), the reports of crumple_bench in cars/*.json, tables.md. out: page.md and its PNGs in FOLDER. A bar whose
 measurement is missing says so.
 """
 
@@ -19,6 +19,7 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
+import scene
 import stability
 from outside import Outside
 from tables import Runs, best, commit, map_and_constrain, number, table
@@ -502,6 +503,11 @@ def page(all_rows, folder, quick):
                "and all figures: bench/peers/calculix.csv.\n")
         yield outside.text()
         yield "![Dents and forces beside CalculiX](outside.png)"
+    cars = read(folder / "scene.csv")
+    if cars:
+        scene.draw(cars, folder / "scene.png")
+        yield "## No more than a scene needs\n\n![Cars in a tick of 1/60 s against accuracy](scene.png)"
+        yield scene.text(cars)
     yield "## Time against nodes"
     yield "; ".join(f"{scene}: slope {value:.2f}" for scene, value in slopes.items() if value is not None) + " (log-log)."
     yield "![Time against nodes](nodes.png)"
