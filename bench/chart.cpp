@@ -11,6 +11,7 @@
 // Further scenes: "side by side" (two cars on two threads against one); "untouched" (a car at rest, nothing near); "push in N
 // ticks" (0.40 m of wall in N ticks and back, error against 40 ticks); "kernel ..." (method: instruction set; the time of one
 // pass over all tets). Nothing here is random: the seed is 0.
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -465,40 +466,17 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
   }
 }
 
-Options read_options(int argc, char** argv) {
-  Options options;
-  for (int i = 1; i < argc; ++i) {
-    const std::string word = argv[i];
-    const auto value = [&]() -> std::string {
-      if (++i == argc) throw std::runtime_error(word + ": a value must follow it.");
-      return argv[i];
-    };
-    if (word == "--quick")
-      options.quick = true;
-    else if (word == "--commit")
-      options.commit = value();
-    else if (word == "-o")
-      options.csv = value();
-    else if (word[0] != '-')
-      options.cars.push_back(word);
-    else
-      throw std::runtime_error(word + ": unknown; call it without arguments for its usage.");
-  }
-  return options;
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
+  CLI::App app("Error against time, of every method that is here");
+  Options options;
+  app.add_option("CAR", options.cars, "baked; all methods on the first, `nodal` on all")->required()->check(CLI::ExistingFile);
+  app.add_flag("--quick", options.quick, "fewer iteration counts, no converged answer for large cars");
+  app.add_option("--commit", options.commit, "named in every row");
+  app.add_option("-o", options.csv, "CSV")->required();
+  CLI11_PARSE(app, argc, argv);
   try {
-    const Options options = read_options(argc, argv);
-    if (options.cars.empty() || options.csv.empty()) {
-      std::fprintf(stderr,
-                   "usage: crumple_chart CAR... [--quick] [--commit NAME] -o CSV\n"
-                   "  CAR      baked cars; all methods on the first, `nodal` on all\n"
-                   "  --quick  fewer iteration counts, no converged answer for large cars\n");
-      return 2;
-    }
     Table table(options);
     tbb::task_arena(1).execute([&] {
       for (const std::string& file : options.cars) {

@@ -288,14 +288,23 @@ void hostile_obstacles(std::vector<Scene>& out) {
     }
     run.release();
   });
-  both("spinning 1,000 rpm past a pole", 0.3, [](Run& run) {
-    double reach = 0;
-    for (const Vec3& node : run.model.node) reach = std::max(reach, double((node - run.model.center_of_mass).head<2>().norm()));
+  // The pole takes a corner of the nose along, as a hook would, at 230 m/s and for 0.8 m in the first pass, without friction as
+  // with it and in sub-steps an eighth as long: nothing here can tear. So the car may end far from rest, but where the pole is.
+  both("spinning 1,000 rpm past a pole", 2.5, [](Run& run) {
+    constexpr double radius = 0.15;
+    const auto from_axis = [&run](const Vec3& node) { return double((node - run.model.center_of_mass).head<2>().norm()); };
+    const auto farthest = [&](const auto& nodes) {
+      double most = 0;
+      for (const Vec3& node : nodes) most = std::max(most, from_axis(node));
+      return most;
+    };
+    const double reach = farthest(run.model.node);
     Obstacle& pole = run.obstacles.emplace_back();
-    make_capsule(0.15f, 2, pole);
+    make_capsule(float(radius), 2, pole);
     pole.pose.position = run.mass.center + Eigen::Vector3d(0, reach, 0);
     run.motion.angular_velocity.z() = 1000 * 2 * pi / 60;
     run.run(30);
+    run.exploded = farthest(run.body.node) > reach + 2 * radius;
     run.release();
   });
   for (const int speed : {50, 100, 150, 300}) {
@@ -318,7 +327,7 @@ void hostile_obstacles(std::vector<Scene>& out) {
 }
 
 // A wall rubs the nose to and fro, 2 mm in it: strains of a fifth of the yield strain. Nothing may stay.
-Scene rubbing(int ticks) {
+Scene rubbing(int ticks, bool ours) {
   return {"rubbing below yield, 1e" + std::to_string(int(std::lround(std::log10(ticks)))) + " ticks",
           with(Parameters(), [](int, Material& m) { m.plasticity = 0.9f; }),
           [ticks](Run& run) {
@@ -328,11 +337,11 @@ Scene rubbing(int ticks) {
             wall.friction = 1;
             for (int k = 0; k < ticks; ++k) {
               wall.velocity.y() = k % 20 < 10 ? 0.1 : -0.1;
-              run.tick(substep_seconds);
+              run.tick(substep_seconds(run.parameters));
             }
             run.release();
           },
-          nullptr};
+          nullptr, ours};
 }
 
 Material random_material(Random& random) {
@@ -373,7 +382,8 @@ Obstacle random_obstacle(Random& random, const Box& box) {
   return each;
 }
 
-// Anything in range, for ten ticks; nothing travels farther than 3 m, so that whoever is 10 m from rest has exploded.
+// Anything in range, for ten ticks; nothing travels farther than 3 m, so that whoever is 10 m from rest then has exploded. The
+// obstacles may leave the car no room at all, so that it is to be sound only after they are gone.
 Scene random_scene(int number) {
   char name[32];
   std::snprintf(name, sizeof name, "random scene %04d", number);
@@ -399,19 +409,22 @@ Scene random_scene(int number) {
             }
             run.limit = exploded_distance;
             run.run(ticks, seconds);
+            run.exploded = run.farthest() > exploded_distance;
+            run.release();
           },
-          nullptr};
+          nullptr, number >= 100};
 }
 
 }  // namespace
 
 std::vector<Scene> hostile_scenes(const Car& car, uint64_t seed, bool quick) {
   std::vector<Scene> scenes;
+  if (!quick) scenes.push_back(rubbing(1'000'000, true));  // first: the longest, and one thread's
+  scenes.push_back(rubbing(quick ? 1'000 : 10'000, false));
   displaced_starts(scenes);
   hostile_meshes_and_materials(car, seed, scenes);
   time_steps(scenes);
   hostile_obstacles(scenes);
-  scenes.push_back(rubbing(quick ? 1'000 : 1'000'000));
   for (int k = 0; k < (quick ? 20 : 1'000); ++k) scenes.push_back(random_scene(k));
   return scenes;
 }

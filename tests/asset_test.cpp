@@ -361,6 +361,24 @@ TEST(Tets, AreTurnedPositiveAndCleanedWithAReport) {
   EXPECT_EQ(report.size(), 3u);
 }
 
+TEST(Tets, ThatNoFaceJoinsToTheRestAreDropped) {
+  const TetMesh box = box_mesh({4, 2, 2}).tets;
+  std::vector<double> nodes;
+  std::vector<int32_t> tets;
+  for (const Vec3& node : box.node) nodes.insert(nodes.end(), {double(node.x()), double(node.y()), double(node.z())});
+  for (const Tet& tet : box.tet) tets.insert(tets.end(), tet.node, tet.node + 4);
+  // One more on an edge of the box, and one far away.
+  const int32_t n = int32_t(box.node.size()), a = int32_t(box.tet[0].node[0]), b = int32_t(box.tet[0].node[1]);
+  nodes.insert(nodes.end(), {-3, -1, -0.2, -3, -1.1, -0.2, 9, 0, 0, 9.1, 0, 0, 9, 0.1, 0, 9, 0, 0.1});
+  tets.insert(tets.end(), {a, b, n, n + 1, n + 2, n + 3, n + 4, n + 5});
+  std::vector<std::string> report;
+  const TetMesh mesh = clean_tets(nodes, tets, "some.msh", report);
+  EXPECT_EQ(mesh.tet.size(), box.tet.size());
+  EXPECT_EQ(mesh.node.size(), box.node.size());
+  ASSERT_FALSE(report.empty());
+  EXPECT_TRUE(contains(report[0], "2 parts of the tets dropped")) << report[0];
+}
+
 TEST(Tets, WithWildIndicesOrPositionsAreRefused) {
   std::vector<std::string> report;
   const std::vector<double> nodes = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};

@@ -12,6 +12,8 @@ namespace {
 
 constexpr float wake_depth = 1e-4f;        // m: and it is woken by an obstacle this deep in it
 constexpr float shortest_substep = 0.01f;  // of a whole one, where the first is cut to the touch
+constexpr float flat = 0.02f;              // share of a tet's volume left: below it no shape is a sound one at rest
+constexpr float mended = 0.1f;             // of the flow around an inverted tet, a tick
 
 struct RoomTimer {
   Timer* timer;
@@ -92,40 +94,52 @@ double stored_energy(const Model& model, const Parameters& parameters, const Scr
   return sum;
 }
 
-// How much of an impulse leaves the car with no more kinetic energy than `limit`: all of it, but where a body far too stiff or
-// too viscous for the sub-step would be thrown about by the explicit step of its motion.
-double passive_share(const Mass& mass, const Eigen::Vector3d& impulse, const Eigen::Vector3d& angular_impulse, double limit,
-                     const Motion& motion) {
-  const auto within = [&](double share) {
-    Motion after = motion;
-    push(share * impulse, share * angular_impulse, mass, after);
-    return kinetic_energy(after, mass) <= limit;
-  };
-  if (!std::isfinite(mass.mass) || within(1)) return 1;
-  double low = 0, high = 1;
-  for (int i = 0; i < 20; ++i) (within(0.5 * (low + high)) ? low : high) = 0.5 * (low + high);
-  return low;
+// How much of an impulse contacts may give. Seen from the obstacles, at their mean velocity, it may add no more kinetic energy
+// than the body has to give (`spring`, J); where that is nothing, no more than stops the car against them. All of it, but where
+// a body far too stiff or too viscous for the sub-step would be thrown about by the explicit step of its motion, or obstacles
+// that leave it no room press with forces that no longer tell where it should go. Takes from `spring` what the motion gains.
+double passive_share(const Mass& mass, const Eigen::Vector3d& impulse, const Eigen::Vector3d& angular_impulse,
+                     const Eigen::Vector3d& velocity, const Motion& motion, double& spring) {
+  if (!std::isfinite(mass.mass)) return 1;
+  Motion relative = motion, still;
+  relative.velocity -= velocity;
+  still.pose = motion.pose;
+  const double before = kinetic_energy(relative, mass);
+  push(impulse, angular_impulse, mass, relative);
+  push(impulse, angular_impulse, mass, still);
+  // A share s of it adds linear s + square s^2.
+  const double square = kinetic_energy(still, mass), linear = kinetic_energy(relative, mass) - before - square;
+  double share = 1;
+  if (square > 0 && linear + square > spring) {
+    share = std::clamp((std::sqrt(std::max(0.0, linear * linear + 4 * square * spring)) - linear) / (2 * square), 0.0, 1.0);
+  }
+  spring -= (linear + square * share) * share;
+  return share;
 }
 
-// The kinetic energy that a tick can leave at most: what the car brings, moving and stored, and what the fastest obstacle adds
-// by throwing it back elastically.
-double most_energy(const Mass& mass, std::span<const Obstacle> obstacles, const Scratch& scratch, const Body& body,
-                   const Motion& motion) {
-  double fastest = 0;
-  for (const Candidates& near : scratch.candidates) {
-    const Obstacle& obstacle = obstacles[near.obstacle];
-    const double arm = (obstacle.pose.position - motion.pose.position).norm() + double(body.reach);
-    fastest = std::max(fastest, obstacle.velocity.norm() + obstacle.angular_velocity.norm() * arm);
+// Of the obstacles where they press on the car, weighted by their forces; m/s, world. start: of the sub-step, within the tick.
+Eigen::Vector3d pressing_velocity(std::span<const Obstacle> obstacles, double start, const Scratch& scratch, const Body& body,
+                                  const Motion& motion) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  double forces = 0;
+  for (size_t k = 0; k < scratch.contacts.size(); ++k) {
+    const double force = double(scratch.held[k].force.norm());
+    if (!scratch.held[k].active || force == 0) continue;
+    const Contact& contact = scratch.contacts[k];
+    const Obstacle& obstacle = obstacles[contact.obstacle];
+    const Eigen::Vector3d node = motion.pose.position + motion.pose.orientation * body.node[contact.node].cast<double>();
+    const Eigen::Vector3d arm = node - obstacle.pose.position - start * obstacle.velocity;
+    sum += force * (obstacle.velocity + obstacle.angular_velocity.cross(arm));
+    forces += force;
   }
-  const double own = std::max(0.0, kinetic_energy(motion, mass) + body.stored);
-  const double added = std::sqrt(mass.mass / 2) * (2 * fastest + double(push_out_speed));
-  return (std::sqrt(own) + added) * (std::sqrt(own) + added);
+  return forces > 0 ? Eigen::Vector3d(sum / forces) : sum;
 }
 
 // The forces of all contacts as one impulse on the rigid motion, and the work that friction took. The impulse is the mean of
 // the forces at both ends of the sub-step: with those at its end alone a crash loses 2 % of its energy to the rectangle rule.
-void react(const Mass& mass, double h, double energy_limit, const Scratch& scratch, Body& body, Motion& motion,
-           Response& response) {
+// pressing: velocity of the obstacles; spring: see passive_share.
+void react(const Mass& mass, double h, const Eigen::Vector3d& pressing, const Scratch& scratch, Body& body, Motion& motion,
+           Response& response, double& spring) {
   Eigen::Vector3d force = Eigen::Vector3d::Zero(), moment = Eigen::Vector3d::Zero();
   uint32_t touching = 0;
   for (size_t k = 0; k < scratch.contacts.size(); ++k) {
@@ -138,13 +152,15 @@ void react(const Mass& mass, double h, double energy_limit, const Scratch& scrat
     force += f;
     moment += (body.node[contact.node].cast<double>() - mass.center).cross(f);
     const Vec3 tangential = held.force - contact.normal.dot(held.force) * contact.normal;
-    body.absorbed += std::max(0.0f, -tangential.dot(slip));
+    const double rubbed = double(std::max(0.0f, -tangential.dot(slip)));
+    body.absorbed += rubbed;
+    spring -= rubbed;
     response.deepest = std::max(response.deepest, -contact.after);
   }
   const Eigen::Quaterniond& axes = motion.pose.orientation;
   Eigen::Vector3d impulse = 0.5 * h * (body.force + axes * force);
   Eigen::Vector3d angular_impulse = 0.5 * h * (body.moment + axes * moment);
-  const double share = passive_share(mass, impulse, angular_impulse, energy_limit, motion);
+  const double share = passive_share(mass, impulse, angular_impulse, pressing, motion, spring);
   impulse *= share;
   angular_impulse *= share;
   body.force = share * (axes * force);
@@ -219,12 +235,11 @@ void keep(const Model& model, Scratch& scratch, Body& body) {
 struct Substep {
   double start, seconds;  // within the tick
   float last;             // seconds of the one before, for the predictor
-  double energy_limit;    // of the motion after it, J
 };
 
 // One sub-step. Returns the seconds that were solved.
 float step(const Model& model, const Parameters& parameters, const Mass& mass, std::span<const Obstacle> obstacles,
-           const Substep& now, Scratch& scratch, Body& body, Motion& motion, Response& response, Timer* timer) {
+           const Substep& now, Scratch& scratch, Body& body, Motion& motion, Response& response, double& spring, Timer* timer) {
   const Pose to = path(motion, mass, body, now.seconds);
   {
     const RoomTimer room(timer, Room::contacts);
@@ -263,13 +278,47 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
   settle(h, scratch.start, body);
   {
     const RoomTimer room(timer, Room::flow);
-    body.absorbed += flow_nodal(model, scratch, body);
+    const double taken = flow_nodal(model, scratch, body);
+    body.absorbed += taken;
+    spring -= taken;
   }
-  react(mass, double(h), now.energy_limit, scratch, body, motion, response);
+  react(mass, double(h), pressing_velocity(obstacles, now.start, scratch, body, motion), scratch, body, motion, response,
+        spring);
   // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
   if (body.force.norm() * double(h) > double(settle_speed) * mass.mass) body.settled = false;
   ++response.substeps;
   return h;
+}
+
+// A body that nothing holds has come to rest, and some tets are inverted or flat: they stick between others that flowed while
+// all of them were crushed beyond what is left of them. No car has that shape: the flow around them goes back, a part a tick,
+// until the body is sound; that of the whole body where there is none around them. Returns whether there was any to take back.
+bool mend(const Model& model, Body& body) {
+  bool any = false, inverted = false;
+  const auto take_back = [&](uint32_t tet) {
+    float& kappa = body.hardening[tet];
+    if (kappa == 0) return;
+    any = true;
+    const float taken = kappa > 1e-3f ? mended : 1;
+    kappa -= taken * kappa;
+    for (int k = 0; k < 3; ++k) {
+      Vec3& gradient = body.gradients[tet].corner[k];
+      gradient += taken * (model.gradients[tet].corner[k] - gradient);
+    }
+  };
+  for (size_t t = 0; t < model.tet.size(); ++t) {
+    const uint32_t* n = model.tet[t].node;
+    const Mat3 f = deformation(body.node[n[0]], body.node[n[1]], body.node[n[2]], body.node[n[3]], body.gradients[t]);
+    if (f.determinant() > flat) continue;
+    inverted = true;
+    for (uint32_t node : model.tet[t].node) {
+      for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) take_back(model.corner[k] / 4);
+    }
+  }
+  if (inverted && !any) {
+    for (uint32_t tet = 0; tet < model.tet.size(); ++tet) take_back(tet);
+  }
+  return any;
 }
 
 void tick_classic(const Model& model, const Parameters& parameters, const Mass& mass, std::span<const Obstacle> obstacles,
@@ -326,10 +375,10 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
   } else {
     const int count = substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
     const double h = seconds / count;
-    const double limit = most_energy(mass, obstacles, scratch, body, motion);
+    double spring = body.lost ? 0 : body.stored;
     float last = body.step_seconds > 0 ? body.step_seconds : float(h);
     for (int k = 0; k < count; ++k) {
-      last = step(model, parameters, mass, obstacles, {k * h, h, last, limit}, scratch, body, motion, response, timer);
+      last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, spring, timer);
     }
     scratch.team.leave();
     if (response.substeps > 0) body.stored = stored_energy(model, parameters, scratch, body);
@@ -345,6 +394,10 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
   }
   if (response.substeps > 0) measure_reach(model, body);
   if (body.settled) body.history = {}, body.lost = false;
+  if (response.substeps > 0 && body.settled && !body.touching && mend(model, body)) {
+    body.settled = false;
+    body.lost = true;  // or what was taken back flows again at once
+  }
   return response;
 }
 

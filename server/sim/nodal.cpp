@@ -120,6 +120,28 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
   held[0].active = true;
 }
 
+// Several planes press with the forces that add up to the one their node lacks. Says whether they can: planes that are not
+// nearly parallel, none of which would have to pull.
+bool press_together(const Vec3& force, size_t first, size_t last, Scratch& scratch) {
+  size_t at[contacts_per_node];
+  int count = 0;
+  for (size_t k = first; k < last; ++k) {
+    if (scratch.held[k].active) at[count++] = k;
+  }
+  Mat3 products = Mat3::Identity();
+  Vec3 normal_force = Vec3::Zero();
+  for (int i = 0; i < count; ++i) {
+    const Vec3& normal = scratch.contacts[at[i]].normal;
+    normal_force[i] = normal.dot(force);
+    for (int k = 0; k < count; ++k) products(i, k) = normal.dot(scratch.contacts[at[k]].normal);
+  }
+  if (!(products.determinant() > 1e-4f)) return false;
+  const Vec3 multiplier = products.inverse() * normal_force;
+  if ((multiplier.array() < 0).any()) return false;
+  for (int i = 0; i < count; ++i) scratch.held[at[i]].force = multiplier[i] * scratch.contacts[at[i]].normal;
+  return true;
+}
+
 // The gradient left on a node that contacts hold is their force; friction no more than the cone allows.
 void measure(void* context, uint32_t node, const float gradient[3], const float[6]) {
   Scratch& scratch = *static_cast<Scratch*>(context);
@@ -134,6 +156,7 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
     shares += std::max(0.0f, normal.dot(force)) * normal;
     ++planes;
   }
+  if (planes > 1 && press_together(force, first, last, scratch)) return;
   for (size_t k = first; k < last; ++k) {
     const Contact& contact = scratch.contacts[k];
     Held& held = scratch.held[k];
@@ -376,6 +399,14 @@ size_t awake_nodes(const Scratch& scratch) {
   return lanes * size_t(std::count_if(scratch.awake.begin(), scratch.awake.end(), [](uint8_t awake) { return awake != 0; }));
 }
 
+// A gradient is as long as one over the height above the face opposite.
+bool thin(const Gradients& gradients) {
+  const auto& g = gradients.corner;
+  const float steepest =
+      std::max({g[0].squaredNorm(), g[1].squaredNorm(), g[2].squaredNorm(), (g[0] + g[1] + g[2]).squaredNorm()});
+  return steepest * thinnest * thinnest > 1;
+}
+
 // The squared way of all nodes in this sub-step, m^2; an awake node's is no shorter than at the speed at which it is at rest.
 double way_size(float quiet, const Scratch& scratch) {
   double sum = double(awake_nodes(scratch)) * double(quiet * quiet);
@@ -420,6 +451,9 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
     const Elastic e = elastic(parameters.region[r]);
     const YieldLaw y = yield_law(parameters.region[r]);
     scratch.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.limit, y.limit};
+  }
+  for (uint32_t i = 0; i < t; ++i) {
+    if (thin(model.gradients[i])) scratch.tets[i / lanes].kappa[i % lanes] = scratch.law[model.tet_region[i]].limit;
   }
 }
 

@@ -17,6 +17,9 @@ inline constexpr float anchor_share = 0.25f;
 
 // m/s: a node that is slower is at rest, and its block is not solved; nor is a body all of whose nodes are.
 inline constexpr float settle_speed = 2e-3f;
+// m: a tet less high than this does not flow. Positions in single precision, a metre or two from the origin, are known to
+// 0.1 um; its strain would be noise of a hundredth of the yield strain and more.
+inline constexpr float thinnest = 1e-3f;
 // Of all tets: when more have lost their shape, none flows.
 inline constexpr double lost_share = 0.002;
 
