@@ -96,6 +96,7 @@ void push_once(const Car& car, float friction, int sweeps) {
   run.mass.mass = std::numeric_limits<double>::infinity();
   run.mass.inertia.setConstant(run.mass.mass);
   run.parameters.iterations = uint16_t(sweeps);
+  run.parameters.tolerance = 0;
   run.wall.friction = friction;
   run.place_wall(0);
   run.wall.velocity = {-0.6, 0, 0};
