@@ -83,7 +83,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->capture_default_str();
   verb.add_option("--budget", options.budget_ms,
                   "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
-                  "0: no limit; default: 80 % of a tick")
+                  "0: no limit")
       ->check(CLI::NonNegativeNumber)
       ->type_name("MS");
   verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")

@@ -29,7 +29,6 @@ constexpr uint32_t command_depth = 1'000;  // queries waiting
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
 // cannot keep up slows down, and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;
-constexpr double budget_share = 0.8;  // of a tick, that it may take unless told otherwise
 
 // What the budget is in tet visits, which is all that the world knows. Learned from ticks that say something about it: those
 // that took long, and those that were cut short. Until there is one there is no limit.
@@ -269,7 +268,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   Server server(options);
   server.root = "crumple/1/" + options.scene + "/";
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  server.pace.limit = options.budget_ms < 0 ? budget_share / options.rate : 1e-3 * options.budget_ms;
+  server.pace.limit = 1e-3 * options.budget_ms;
   start_world(server);
   open_network(server);
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(), net_endpoint(server.net), options.rate,
