@@ -129,7 +129,7 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
   for (unsigned seed = 1; seed <= 8; ++seed) {
     std::unique_ptr<State> first;
     std::vector<float> heard;
-    double slope[6] = {}, work = 0;
+    double slope[6] = {}, work = 0, energy = 0;
     uint32_t lost = 0;
     for (const Kernels* kernel : all_kernels()) {
       SCOPED_TRACE(std::string(kernel->name) + ", seed " + std::to_string(seed));
@@ -137,6 +137,7 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
       const uint32_t own_lost = own->renew(*kernel);
       double own_slope[6] = {};
       kernel->slope(own->tet_view(), 0, own->groups(), own->scratch.stiffness.data(), own->scratch.direction.data(), own_slope);
+      const double own_energy = kernel->energy(own->tet_view(), 0, own->groups());
       const std::vector<uint16_t> flowing = own->scratch.flowing;
       const double own_work = own->flow(*kernel);
       Told told{*own, {}};
@@ -159,11 +160,13 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
         heard = told.heard;
         std::copy(own_slope, own_slope + 6, slope);
         work = own_work;
+        energy = own_energy;
         lost = own_lost;
         continue;
       }
       EXPECT_EQ(lost, own_lost);
       EXPECT_EQ(work, own_work);
+      EXPECT_EQ(energy, own_energy);
       for (int k = 0; k < 6; ++k) EXPECT_EQ(slope[k], own_slope[k]) << "power " << k;
       EXPECT_TRUE(same(first->scratch.stiffness, own->scratch.stiffness));
       EXPECT_TRUE(same(first->scratch.flowing, own->scratch.flowing));
@@ -476,6 +479,16 @@ TEST(Twin, FlowIsThatOfOneTetAtATime) {
     }
     EXPECT_GT(flowed, 100);
   }
+}
+
+TEST(Twin, EnergyIsThatOfOneTetAtATime) {
+  auto own = state(0.1f, 51);
+  double energy = 0;
+  for (size_t t = 0; t < own->tets(); ++t) {
+    const double volume = double(own->mesh->model.tet_rest[t]);
+    energy += volume * double(energy_density(elastic(own->material(t)), own->deformation_of(t)));
+  }
+  EXPECT_NEAR(kernels().energy(own->tet_view(), 0, own->groups()), energy, 1e-5 * energy);
 }
 
 TEST(Twin, SlopeIsThatOfTheEnergyAlongTheLine) {

@@ -240,7 +240,8 @@ TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   const Bytes state(data, data + answer->state()->size());
   other.spawn();
   other.step({{"car/a", host::load(state), 4}});
-  EXPECT_TRUE(host::read_as<schema::Answer>(other.outbox.at(0).bytes)->ok());
+  const auto* loaded = host::read_as<schema::Answer>(other.outbox.at(0).bytes);
+  EXPECT_TRUE(loaded->ok()) << (loaded->sentence() ? loaded->sentence()->str() : "");
   EXPECT_EQ(other.nodes(), nodes(2));
   EXPECT_EQ(other.car().told.latest, scene.car().told.latest);
 }

@@ -12,6 +12,10 @@ constexpr uint32_t blocks_a_part = 256;  // of the work that is done side by sid
 
 constexpr int most_colours = 255;
 
+// Nodes of one colour that are sorted by their number of tets, so that blocks have few empty lanes, and no more of them, so
+// that the nodes of a block stay near to each other. Lanes in use at 5,000 nodes: 60 % unsorted, 87 % with 128, 93 % with all.
+constexpr size_t sorted_together = 128;
+
 // Greedy, in the model's spatial order: the first colour that no neighbour has. Empty if there are too few.
 std::vector<uint8_t> colour_of(const Model& model) {
   std::vector<uint8_t> colour(model.node.size());
@@ -106,7 +110,12 @@ Blocks make_blocks(const Model& model) {
   std::vector<std::vector<uint32_t>> nodes(512);  // by colour, free ones before anchored ones
   for (uint32_t i = 0; i < colour.size(); ++i) nodes[2 * colour[i] + model.node_anchored[i]].push_back(i);
   for (size_t list = 0; list < nodes.size(); ++list) {
-    const std::vector<uint32_t>& all = nodes[list];
+    std::vector<uint32_t>& all = nodes[list];
+    for (size_t begin = 0; begin < all.size(); begin += sorted_together) {
+      const auto tets_of = [&](uint32_t node) { return model.node_first[node + 1] - model.node_first[node]; };
+      std::stable_sort(all.begin() + begin, all.begin() + std::min(all.size(), begin + sorted_together),
+                       [&](uint32_t a, uint32_t b) { return tets_of(a) > tets_of(b); });
+    }
     for (size_t begin = 0; begin < all.size(); begin += lanes) {
       place_block(model, &all[begin], std::min<size_t>(lanes, all.size() - begin), out);
     }

@@ -79,6 +79,8 @@ struct Kernels {
   // Plastic flow (flow.h) of the lanes `flowing`, as far as they are beyond yield and not inverted. Changes gradients and
   // kappa; returns the plastic work, J.
   double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, const uint16_t* flowing);
+  // Elastic energy of the groups [first, last) at their full moduli, J.
+  double (*energy)(const TetView&, uint32_t first, uint32_t last);
   // Of mixing.h, on n quads, a multiple of four. Replaces residual by after - before and result by after; by how much they
   // changed goes out, and the square of the new residual's length, m^2.
   void (*compare)(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,

@@ -435,6 +435,25 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, con
   return work;
 }
 
+template <int N>
+double energy(const TetView& v, uint32_t first, uint32_t last) {
+  double sum = 0;
+  for (uint32_t g = first; g < last; ++g) {
+    for (int lane = 0; lane < lanes; lane += N) {
+      const TetLanes& tet = v.tet[g];
+      const LawLanes<N> law = laws<N>(v, v.region + lanes * g + lane);
+      const Matrices<N> f = deformation_of<N>(edges_of<N>(v.node, v.group[g], lane), gradient_row<N>(tet, lane, 0),
+                                              gradient_row<N>(tet, lane, 1), gradient_row<N>(tet, lane, 2));
+      const Floats<N> spread = dot(f.col[0], cross(f.col[1], f.col[2])) - law.gamma, rest = law.gamma - 1.0f;
+      const Floats<N> stretch = dot(f.col[0], f.col[0]) + dot(f.col[1], f.col[1]) + dot(f.col[2], f.col[2]) - 3.0f;
+      const Floats<N> density = 0.5f * (law.mu * stretch + law.l * (spread * spread - rest * rest));
+      const Floats<N> all = load<N>(tet.volume + lane) * density;
+      for (int k = 0; k < N; ++k) sum += double(all[k]);
+    }
+  }
+  return sum;
+}
+
 // Sums in 16 lanes of single precision, 256 quads at a time, and these in double: the same for any N.
 constexpr size_t floats_together = 1024;
 

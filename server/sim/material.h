@@ -44,9 +44,9 @@ struct Parameters {
   // absolute length: a share of their way would spend sweeps where nothing moves and save them where the dent is made. 0: all
   // iterations.
   float tolerance = 8e-5f;
-  // Sub-steps of `nodal` in 1/60 s where nothing asks for shorter ones (deform.h), [1, 64]. Fewer cost accuracy of the path and
-  // of the energy (4: up to 4 % of it too much), more cost time.
-  uint16_t substeps = 8;
+  // Sub-steps of `nodal` in 1/60 s where nothing asks for shorter ones (deform.h), [1, 64]. Fewer cost accuracy of the
+  // path, more cost time.
+  uint16_t substeps = 4;
   std::array<Material, region_limit> region;
 
   friend bool operator==(const Parameters&, const Parameters&) = default;

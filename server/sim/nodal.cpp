@@ -125,7 +125,7 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
 bool press_together(const Vec3& force, size_t first, size_t last, Scratch& scratch) {
   size_t at[contacts_per_node];
   int count = 0;
-  for (size_t k = first; k < last; ++k) {
+  for (size_t k = first; k < last && count < int(contacts_per_node); ++k) {
     if (scratch.held[k].active) at[count++] = k;
   }
   Mat3 products = Mat3::Identity();
@@ -513,6 +513,19 @@ double flow_nodal(const Model& model, Scratch& scratch, Body& body) {
     work += double(scratch.before[i].w) * (body.node[i] - vec(scratch.before[i])).squaredNorm();
   }
   return work;
+}
+
+double stored_nodal(const Model& model, Scratch& scratch, const Body& body) {
+  const TetView view = tet_view(*model.blocks, scratch);
+  double sum = sum_over_groups(*model.blocks, scratch, [&](uint32_t first, uint32_t last, double* sums) {
+    sums[0] = kernels().energy(view, first, last);
+  })[0];
+  for (const Contact& contact : scratch.contacts) {
+    const size_t i = contact.node;
+    if (scratch.contact_first[i] - 1 != size_t(&contact - scratch.contacts.data())) continue;  // once a node
+    sum += 0.5 * double(scratch.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm();
+  }
+  return std::max(0.0, sum);  // at rest it is noise around nothing
 }
 
 }  // namespace crumple

@@ -45,4 +45,7 @@ Effort solve_nodal(const Model&, const Parameters&, double mass, float h, float 
 // After it: plastic flow of the tets that are beyond yield, and the drag that the nodes took: J.
 double flow_nodal(const Model&, Scratch&, Body&);
 
+// Elastic energy of the tets and of the springs that hold the cell, J.
+double stored_nodal(const Model&, Scratch&, const Body&);
+
 }  // namespace crumple
