@@ -16,6 +16,8 @@ struct Law {
   float shear, bulk;          // 2 mu, 3 K
   float start, slope, limit;  // yield stress, its slope over kappa, limit of kappa
   float room;                 // that limit now: 0 while flow is suspended
+
+  friend bool operator==(const Law&, const Law&) = default;
 };
 
 // What tets keep while a tick lasts, 16 at once.

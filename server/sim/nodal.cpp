@@ -434,8 +434,6 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
   scratch.awake.resize(blocks.anchored.size());
   scratch.still.resize(blocks.anchored.size());
   scratch.touched.resize(blocks.anchored.size());
-  scratch.region.assign(padded, model.tet_region[t - 1]);
-  std::copy(model.tet_region.begin(), model.tet_region.end(), scratch.region.begin());
   scratch.volume = 0;
   for (uint32_t i = 0; i < t; ++i) {
     TetLanes& tet = scratch.tets[i / lanes];
@@ -452,6 +450,12 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
     const YieldLaw y = yield_law(parameters.region[r]);
     scratch.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.limit, y.limit};
   }
+  uint8_t same[region_limit];  // the first region with the same law, so that most groups of tets have one law
+  for (int r = 0; r < region_limit; ++r) {
+    same[r] = uint8_t(std::find(scratch.law.begin(), scratch.law.begin() + r, scratch.law[r]) - scratch.law.begin());
+  }
+  scratch.region.assign(padded, same[model.tet_region[t - 1]]);
+  for (uint32_t i = 0; i < t; ++i) scratch.region[i] = same[model.tet_region[i]];
   for (uint32_t i = 0; i < t; ++i) {
     if (thin(model.gradients[i])) scratch.tets[i / lanes].kappa[i % lanes] = scratch.law[model.tet_region[i]].limit;
   }

@@ -59,6 +59,9 @@ CRUMPLE_INLINE Floats<N> magnitude(const Floats<N>& v) {
 
 template <int N>
 CRUMPLE_INLINE unsigned bits(const Ints<N>& mask) {
+#ifdef __AVX__
+  if constexpr (N == 8) return unsigned(__builtin_ia32_movmskps256((Floats<8>)mask));
+#endif
   unsigned out = 0;
   for (int k = 0; k < N; ++k) out |= unsigned(mask[k] & 1) << k;
   return out;
