@@ -85,7 +85,8 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
                   "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
                   "0: no limit")
       ->check(CLI::NonNegativeNumber)
-      ->type_name("MS");
+      ->type_name("MS")
+      ->capture_default_str();
   verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
       ->check(CLI::Range(0.001, 100.0))
       ->capture_default_str();

@@ -14,7 +14,7 @@ struct ServeOptions {
   std::string listen = "tcp/127.0.0.1:7447";  // port 0: any free one, printed
   double rate = 60;                           // ticks a second
   int threads = 0;                            // 0: as many as there are cores
-  double budget_ms = 0;                       // that the cars of a tick may take; 0: no limit
+  double budget_ms = 12;                      // that the cars of a tick may take; 0: no limit
   double quantum_mm = 0.5;
   std::string record;  // file; empty: none
   double seconds = 0;  // ends after these; 0: by SIGINT

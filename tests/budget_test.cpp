@@ -114,10 +114,10 @@ TEST(Budget, IsKeptAndSpentOnWhatMatters) {
   EXPECT_GT(result.counts["residual_mean_nm"].value, 0u);
 }
 
-TEST(Budget, TooSmallForAllLeavesEachTwoSweeps) {
+TEST(Budget, TooSmallForAllLeavesEachFourSweeps) {
   const Result result = limited(1);
   for (const auto& of_tick : result.sweeps) {
-    for (int one : of_tick) EXPECT_TRUE(one == 0 || one == 2) << one;
+    for (int one : of_tick) EXPECT_TRUE(one == 0 || one == 4) << one;
   }
 }
 
