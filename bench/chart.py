@@ -519,8 +519,26 @@ def page(all_rows, folder, quick):
     if cells.exists():
         stability.draw(*stability.read_cells(cells), folder / "stability.png")
         yield "## Stability\n\n![Every method against every hostile start](stability.png)"
+    wire = read_codecs(folder / "codec.csv")
+    if wire:
+        yield "## On the wire\n\n![Bits per vertex and frame](codec.png)"
+        yield wire
     if (folder / "tables.md").exists():
         yield re.sub(r"^#", "##", (folder / "tables.md").read_text(), flags=re.M)
+
+
+def read_codecs(path):
+    """The rows of codec.py at half a millimetre."""
+    if not path.exists():
+        return ""
+    with open(path) as file:
+        rows = [row for row in csv.DictReader(file) if float(row["quantum_mm"]) == 0.5]
+    columns = {"car": "car", "scene": "scene", "codec": "codec", "bits": "bits per vertex and frame", "worst_bits": "worst frame",
+               "most_mm": "largest error, mm", "encode_ms": "encode, ms per 20,000 vertices", "decode_ms": "decode, ms"}
+    lines = ["| " + " | ".join(columns.values()) + " |", "|" + "---|" * len(columns)]
+    order = sorted(rows, key=lambda row: (row["car"], row["scene"], float(row["bits"])))
+    lines += ["| " + " | ".join(row[name] or "–" for name in columns) + " |" for row in order]
+    return "Quantum 0.5 mm. `packed` are whole messages, the others the numbers alone (bench/codec.py).\n\n" + "\n".join(lines)
 
 
 def main():

@@ -57,8 +57,8 @@ struct Host {
 };
 
 // Times of a room over the ticks since the last health.
-enum class Stage : uint8_t { decode, contacts, solve, flow, skin, tick };
-inline constexpr std::array stage_names = {"decode", "contacts", "solve", "flow", "skin", "tick"};
+enum class Stage : uint8_t { decode, contacts, solve, flow, surface, tick };
+inline constexpr std::array stage_names = {"decode", "contacts", "solve", "flow", "surface", "tick"};
 using StageTimes = std::array<double, stage_names.size()>;  // s
 
 struct Tally {
@@ -80,7 +80,7 @@ struct Tally {
 // A worker's memory, reused from car to car.
 struct Worker {
   ScratchHandle scratch = make_scratch();
-  std::vector<Vec3> vertex;
+  std::vector<Vec3> displaced;  // nodes of the skin, from rest, m
   std::vector<int16_t> displacement;
   std::vector<Candidates> near;
   StageTimes times{};

@@ -60,14 +60,31 @@ void move(const World& world, Instance& car, Worker& worker) {
   if (touched(car.response)) car.touched_tick = world.tick;
 }
 
+// Displacements from rest of the nodes that the skin of the spawned car uses; where the body is on another level, where that
+// one takes them.
+void displace(const World& world, const Instance& car, std::vector<Vec3>& out) {
+  const Car& shown = *car.levels->front();
+  const auto moved = [&](uint32_t node) -> Vec3 { return car.body.node[node] - car.car->model.node[node]; };
+  out.clear();
+  if (car.car->hash == shown.hash) {
+    for (uint32_t node : shown.skin_node) out.push_back(moved(node));
+    return;
+  }
+  const LevelMap& map = world.level_maps.at({car.car->hash, shown.hash});
+  for (uint32_t node : shown.skin_node) {
+    const Skin& skin = map.node[node];
+    Vec3 sum = Vec3::Zero();
+    for (int k = 0; k < 4; ++k) sum += skin.weight[k] * moved(skin.node[k]);
+    out.push_back(sum);
+  }
+}
+
 // What its viewers are to be told of the car.
 void show(const World& world, Instance& car, Worker& worker) {
-  const Watch watch(world.clock, worker.times[size_t(Stage::skin)]);
-  const Model& model = car.car->model;
-  worker.vertex.resize(model.vertex.size());
-  worker.displacement.resize(3 * model.vertex.size());
-  skin(model, car.body, worker.vertex);
-  quantise(worker.vertex, model.vertex, world.quantum, worker.displacement);
+  const Watch watch(world.clock, worker.times[size_t(Stage::surface)]);
+  displace(world, car, worker.displaced);
+  worker.displacement.resize(3 * worker.displaced.size());
+  quantise(worker.displaced, world.quantum, worker.displacement);
   car.news = tell({world.tick, car.levels->front()->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
 }
 
@@ -192,7 +209,7 @@ void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox)
     if (one.ticket == 0) continue;
     const Instance& car = found->second;
     auto parts =
-        encode_keyframe({car.told.keyframe_tick, car.levels->front()->hash, world.quantum}, car.told.keyframe, max_vertices);
+        encode_keyframe({car.told.keyframe_tick, car.levels->front()->hash, world.quantum}, car.told.keyframe, max_nodes);
     outbox.push_back({one.key, std::move(parts.at(0)), one.ticket});
   }
 }

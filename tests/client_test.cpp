@@ -21,19 +21,19 @@ using client::apply_delta;
 using client::apply_keyframe;
 using client::Quanta;
 
-constexpr uint32_t vertices = 700;  // eleven blocks, the last cut
+constexpr uint32_t nodes = 700;  // 44 blocks, the last cut
 const std::string asset = "0123456789abcdef";
 
 std::span<const uint8_t> bytes_of(const Bytes& bytes) { return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}; }
 
-Quanta random_quanta(std::mt19937& random, size_t count = vertices) {
+Quanta random_quanta(std::mt19937& random, size_t count = nodes) {
   std::uniform_int_distribution<int> value(-32767, 32767);
   Quanta quanta(3 * count);
   for (auto& q : quanta) q = static_cast<int16_t>(value(random));
   return quanta;
 }
 
-std::vector<Bytes> keyframe(uint64_t tick, const Quanta& quanta, uint32_t largest = vertices) {
+std::vector<Bytes> keyframe(uint64_t tick, const Quanta& quanta, uint32_t largest = nodes) {
   return encode_keyframe({tick, asset, 0.0005f}, quanta, largest);
 }
 
@@ -74,11 +74,11 @@ TEST(Client, AKeyframeInPartsIsWholeWithItsLastPartInAnyOrder) {
 }
 
 TEST(Client, ADeltaIsAgainstTheKeyframeAndWrapsModulo65536) {
-  Quanta key(3 * vertices, 0), now(3 * vertices, 0);
+  Quanta key(3 * nodes, 0), now(3 * nodes, 0);
   key[0] = 32767;
   now[0] = -32767;
-  key[3 * vertices - 1] = -32767;
-  now[3 * vertices - 1] = 32767;
+  key[3 * nodes - 1] = -32767;
+  now[3 * nodes - 1] = 32767;
   client::Surface surface = holding(1, key);
   EXPECT_EQ(apply_delta(bytes_of(delta(2, now, 1, key).front()), surface).applied, Applied::whole);
   EXPECT_EQ(surface.quanta, now);
@@ -224,31 +224,38 @@ TEST(Client, SurvivesEveryBitFlipOfADelta) {
   try_every_bit_flip(delta(6, now, 5, key).front(), apply_delta, holding(5, key));
 }
 
-Bytes hand_made_delta(uint32_t count, uint32_t first, std::vector<uint64_t> changed, size_t differences) {
+Bytes hand_made_delta(uint32_t total, uint32_t first, uint32_t count, std::vector<uint16_t> words) {
   flatbuffers::FlatBufferBuilder builder;
-  const auto words = builder.CreateVector(changed);
-  const auto numbers = builder.CreateVector(std::vector<int16_t>(differences, 1));
-  builder.Finish(schema::CreateDelta(builder, 6, 5, count, first, words, numbers, 0));
+  const auto packed = builder.CreateVector(words);
+  builder.Finish(schema::CreateDelta(builder, 6, 5, total, first, count, packed, 0));
   const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {data, data + builder.GetSize()};
 }
 
 TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
-  const client::Surface held = holding(5, Quanta(3 * vertices, 0));
+  const client::Surface held = holding(5, Quanta(3 * nodes, 0));
   const auto outcome = [&](const Bytes& message) {
     client::Surface surface = held;
     return apply_delta(bytes_of(message), surface).applied;
   };
-  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64)), Applied::part);  // fits; only its hash is not met
-  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64 + 3)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {1}, 3 * 64 - 1)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, {uint64_t{1} << 11}, 3 * 64)), Applied::refused);  // beyond the last block
-  EXPECT_EQ(outcome(hand_made_delta(vertices, vertices, {0}, 0)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(vertices, UINT32_MAX, {1}, 3 * 64)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(0, 0, {0}, 0)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(UINT32_MAX, 0, {1}, 3 * 64)), Applied::refused);
-  EXPECT_EQ(outcome(hand_made_delta(vertices + 1, 0, {1}, 3 * 64)), Applied::refused);  // another car
-  EXPECT_EQ(outcome(hand_made_delta(vertices, 0, std::vector<uint64_t>(1'000, 0), 0)), Applied::refused);
+  const uint16_t wide = 16 | 16 << 5 | 16 << 10;
+  std::vector<uint16_t> block(49, 1);
+  block[0] = wide;
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0})), Applied::part);  // fits; only its hash is not met
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, block)), Applied::part);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0, 0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 17, {0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {1})), Applied::refused);       // its word is missing
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0x8000})), Applied::refused);  // not a width
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, std::vector<uint16_t>(18, 17))), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 0, {})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, nodes - 15, 16, {0})), Applied::refused);  // beyond the last node
+  EXPECT_EQ(outcome(hand_made_delta(nodes, UINT32_MAX, 16, {0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, UINT32_MAX, {0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(0, 0, 16, {0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(UINT32_MAX, 0, 16, {0})), Applied::refused);
+  EXPECT_EQ(outcome(hand_made_delta(nodes + 1, 0, 16, {0})), Applied::refused);  // another car
 }
 
 TEST(Client, ASessionWithoutAServerSaysWhatToDo) {

@@ -194,7 +194,7 @@ class EndToEnd : public testing::Test {
     CrumpleSurface surface{};
     if (crumple_surface(session, "box", &surface) != CRUMPLE_OK) return -1;
     int most = 0;
-    for (uint32_t i = 0; i < 3 * surface.vertex_count; ++i) most = std::max(most, std::abs(int{surface.quanta[i]}));
+    for (uint32_t i = 0; i < 3 * surface.node_count; ++i) most = std::max(most, std::abs(int{surface.quanta[i]}));
     return most;
   }
 
@@ -245,11 +245,21 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   EXPECT_TRUE(surface.alive);
   CrumpleMesh mesh{};
   ASSERT_TRUE(until(late, [&] { return crumple_mesh(late, asset.c_str(), &mesh) == CRUMPLE_OK; }));
-  EXPECT_EQ(mesh.vertex_count, surface.vertex_count);
+  const auto baked = load_car(car_file);
+  EXPECT_EQ(mesh.vertex_count, baked->model.vertex.size());
+  ASSERT_EQ(surface.node_count, baked->skin_node.size());
   EXPECT_STREQ(mesh.attribution, "made by the tests");
   std::vector<float> strided(8 * size_t{mesh.vertex_count}, -1.0f);
   ASSERT_EQ(crumple_copy(late, "box", strided.data(), 32, mesh.vertex_count), CRUMPLE_OK);
-  EXPECT_FLOAT_EQ(strided[8 + 2], 0.0005f * static_cast<float>(surface.quanta[5]));
+  for (uint32_t v = 0; v < mesh.vertex_count; ++v) {
+    float expected = 0;  // of z, m
+    for (int k = 0; k < 4; ++k) {
+      const auto& nodes = baked->skin_node;
+      const auto at = std::lower_bound(nodes.begin(), nodes.end(), baked->model.skin[v].node[k]) - nodes.begin();
+      if (baked->model.skin[v].weight[k] > 0) expected += baked->model.skin[v].weight[k] * surface.quanta[3 * at + 2];
+    }
+    EXPECT_FLOAT_EQ(strided[8 * v + 2], 0.0005f * expected) << "vertex " << v;
+  }
   EXPECT_EQ(strided[3], -1.0f) << "what lies between the vertices is the caller's";
 
   // State: saved, repaired, loaded again.

@@ -1,5 +1,5 @@
-// A host for tests: the messages that hosts send, written with the schema's own code, and what a viewer makes of the answers.
-// The viewer is the plain twin of the client library's: whole messages, no judgement.
+// A host for tests: the messages that hosts send, written with the schema's own code; and a viewer, which is the client
+// library's.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "cpp/surface.h"
 #include "schema/message_generated.h"
 #include "wire/decode.h"
 #include "world.h"
@@ -113,40 +114,25 @@ const Table* read_as(const Bytes& bytes) {
   return flatbuffers::GetRoot<Table>(data);
 }
 
-// The surface that a viewer holds after keyframes and deltas, each applied whole as it comes.
+// A viewer of one car.
 struct Viewer {
-  std::vector<int16_t> key, held;
-  uint64_t key_tick = 0, tick = 0, hash = 0;
+  client::Surface surface;
 
-  void take_keyframe(const Bytes& bytes) {
-    const auto* keyframe = read_as<schema::Keyframe>(bytes);
-    if (!keyframe || keyframe->tick() < key_tick) return;
-    key.resize(3 * keyframe->vertex_count());
-    std::copy(keyframe->displacement()->begin(), keyframe->displacement()->end(), key.begin() + 3 * keyframe->first());
-    key_tick = keyframe->tick();
-    if (key_tick < tick) return;
-    held = key;
-    tick = key_tick;
-    hash = keyframe->hash();
-  }
-  void take_delta(const Bytes& bytes) {
-    const auto* delta = read_as<schema::Delta>(bytes);
-    if (!delta || delta->keyframe() != key_tick || delta->tick() < tick) return;
-    uint32_t from = 0;
-    for (uint32_t i = 0; i < 64 * delta->changed()->size(); ++i) {
-      const uint32_t start = delta->first() + 64 * i, end = std::min(start + 64, delta->vertex_count());
-      const bool changed = delta->changed()->Get(i / 64) >> (i % 64) & 1;
-      for (uint32_t k = 3 * start; k < 3 * end; ++k) {
-        held[k] = changed ? int16_t(uint16_t(key[k]) + uint16_t(delta->difference()->Get(from++))) : key[k];
-      }
-    }
-    EXPECT_EQ(from, delta->difference()->size());
-    tick = delta->tick();
-    hash = delta->hash();
-  }
+  const std::vector<int16_t>& key() const { return surface.key; }
+  const std::vector<int16_t>& held() const { return surface.quanta; }
+  void take_keyframe(const Bytes& bytes) { expect_taken(client::apply_keyframe(bytes_of(bytes), surface)); }
+  void take_delta(const Bytes& bytes) { expect_taken(client::apply_delta(bytes_of(bytes), surface)); }
   void take(const Message& message) {
     if (message.key.ends_with("/key")) take_keyframe(message.bytes);
     if (message.key.ends_with("/delta/0")) take_delta(message.bytes);
+  }
+
+ private:
+  static std::span<const uint8_t> bytes_of(const Bytes& bytes) {
+    return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()};
+  }
+  static void expect_taken(const client::Outcome& outcome) {
+    EXPECT_NE(outcome.applied, client::Applied::refused) << outcome.why;
   }
 };
 

@@ -195,13 +195,13 @@ TEST(Levels, KeepTheDentAndViewersSeeNoJump) {
   const std::vector<int16_t> before = scene.car().told.latest;
   const double absorbed = scene.car().body.absorbed;
   host::Viewer viewer;
-  viewer.key = viewer.held = scene.car().told.keyframe;
-  viewer.key_tick = viewer.tick = scene.car().told.keyframe_tick;
+  viewer.surface.key = viewer.surface.quanta = scene.car().told.keyframe;
+  viewer.surface.key_tick = viewer.surface.tick = scene.car().told.keyframe_tick;
   scene.step({scene.wall_behind(0.02), scene.pose(0.5f)});
   ASSERT_EQ(scene.nodes(), nodes(1));
   for (const Message& message : scene.outbox) viewer.take(message);
   const std::vector<int16_t>& after = scene.car().told.latest;
-  EXPECT_EQ(viewer.held, after) << "a change of level is told like any other";
+  EXPECT_EQ(viewer.held(), after) << "a change of level is told like any other";
   double change = 0, dent = 0;
   for (size_t i = 0; i < before.size(); ++i) {
     change += std::pow(double(after[i] - before[i]), 2);

@@ -81,31 +81,42 @@ def order(session, key, kind, body):
     raise AssertionError("no server answers")
 
 
+def unpack(words, count):
+    """schema/message.fbs says how: blocks of 16 nodes, each axis in as many bits as it needs."""
+    out, last, at = [0] * (3 * count), [0, 0, 0], 0
+    for first in range(0, count, 16):
+        head, at = words[at], at + 1
+        for axis in range(3):
+            width = head >> 5 * axis & 31
+            bits = sum(word << 16 * i for i, word in enumerate(words[at : at + width]))
+            at += width
+            for node in range(first, min(first + 16, count)):
+                zigzag = bits >> width * (node - first) & ((1 << width) - 1)
+                last[axis] += zigzag >> 1 if zigzag % 2 == 0 else -(zigzag + 1 >> 1)
+                out[3 * node + axis] = (last[axis] + 32768) % 65536 - 32768
+    assert at == len(words)
+    return out
+
+
 class Surface:
     """Displacements in quanta, of the newest tick: keyframes replace them, deltas say what differs from the keyframe."""
 
     def __init__(self):
         self.keyframe, self.key, self.now = None, [], []
 
+    @staticmethod
+    def numbers(message):
+        assert message.Count() == message.NodeCount(), "a car this small comes in one part"
+        return unpack([message.Packed(i) for i in range(message.PackedLength())], message.Count())
+
     def take_keyframe(self, message):
-        assert message.DisplacementLength() == 3 * message.VertexCount(), "a car this small comes in one part"
         self.keyframe = message.Tick()
-        self.key = [message.Displacement(i) for i in range(message.DisplacementLength())]
-        self.now = self.key
+        self.now = self.key = self.numbers(message)
 
     def take_delta(self, message):
         if message.Keyframe() != self.keyframe:
             return  # its keyframe was lost, or is still to come
-        now, at = list(self.key), 0
-        for block in range(64 * message.ChangedLength()):
-            if not message.Changed(block // 64) >> block % 64 & 1:
-                continue
-            start = message.First() + 64 * block
-            for i in range(3 * start, 3 * min(start + 64, message.VertexCount())):
-                now[i] = (now[i] + message.Difference(at) + 32768) % 65536 - 32768
-                at += 1
-        assert at == message.DifferenceLength()
-        self.now = now
+        self.now = [(a + b + 32768) % 65536 - 32768 for a, b in zip(self.key, self.numbers(message))]
 
     def deepest(self):
         return max((abs(q) for q in self.now), default=0)

@@ -362,9 +362,9 @@ TEST(Viewers, ALateJoinerHoldsTheSurfaceAfterTheKeyframeAndAnyLaterDelta) {
       host::Viewer joiner;
       joiner.take(keyframe);
       joiner.take(message);
-      ASSERT_EQ(joiner.held, frame.surface) << "tick " << frame.tick;
-      ASSERT_EQ(joiner.tick, frame.tick);
-      ASSERT_EQ(joiner.hash, hash(std::span<const int16_t>(frame.surface)));
+      ASSERT_EQ(joiner.held(), frame.surface) << "tick " << frame.tick;
+      ASSERT_EQ(joiner.surface.tick, frame.tick);
+      ASSERT_EQ(joiner.surface.hash, hash(std::span<const int16_t>(frame.surface)));
       ++joined;
     }
   }
@@ -383,9 +383,9 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
       if (!is_key(message) && ++count % 3 == 0) continue;  // lost
       some.take(message);
       some.take(message);
-      ASSERT_EQ(some.held, all.held) << "tick " << frame.tick;
+      ASSERT_EQ(some.held(), all.held()) << "tick " << frame.tick;
     }
-    ASSERT_EQ(all.held, frame.surface) << "tick " << frame.tick;
+    ASSERT_EQ(all.held(), frame.surface) << "tick " << frame.tick;
   }
 }
 
@@ -399,10 +399,10 @@ TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
     EXPECT_FALSE(message.failed);
     viewer.take_keyframe(message.bytes);
   }
-  ASSERT_EQ(viewer.key.size(), 3 * box()->model.vertex.size());
+  ASSERT_EQ(viewer.key().size(), 3 * box()->skin_node.size());
   ASSERT_EQ(scene.sent("car/a/delta/0").size(), 1u);
   viewer.take(*scene.sent("car/a/delta/0")[0]);
-  EXPECT_EQ(viewer.held, scene.car("a").told.latest);
+  EXPECT_EQ(viewer.held(), scene.car("a").told.latest);
   scene.step({{"car/b/key", {}, 78}});
   const auto answer = std::find_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket == 78; });
   ASSERT_NE(answer, scene.outbox.end());
@@ -515,7 +515,7 @@ TEST(Health, ShowsRefusalsByReasonCountsAgainstLimitsAndTimesByRoom) {
   EXPECT_EQ(refusals["malformed"], 1u);
   EXPECT_EQ(refusals["bad_key"], 1u);
   EXPECT_EQ(refusals["out_of_range"], 0u);
-  for (const char* room : {"decode", "contacts", "solve", "flow", "skin", "tick"}) EXPECT_GT(rooms[room], 0) << room;
+  for (const char* room : {"decode", "contacts", "solve", "flow", "surface", "tick"}) EXPECT_GT(rooms[room], 0) << room;
   EXPECT_EQ(refusal_count(*scene.world), 2u);
 }
 

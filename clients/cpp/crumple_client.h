@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 // Of all structs below; crumple_open refuses another.
-#define CRUMPLE_CLIENT_VERSION 1u
+#define CRUMPLE_CLIENT_VERSION 2u
 
 enum CrumpleStatus {
   CRUMPLE_OK = 0,
@@ -154,18 +154,19 @@ int crumple_follow(Crumple*, const char* car);
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
 
 typedef struct CrumpleSurface {
-  uint64_t tick;  // the newest one held whole
-  uint64_t hash;  // XXH64 of the quantised displacements, as the server states it
-  uint32_t vertex_count;
+  uint64_t tick;          // the newest one held whole
+  uint64_t hash;          // XXH64 of the quantised displacements, as the server states it
+  uint32_t node_count;    // of the skin: those that a vertex moves with
   float quantum;          // m
   const char* asset;      // hash of the baked car
-  const int16_t* quanta;  // 3 a vertex: displacement from rest in quanta, car's frame
+  const int16_t* quanta;  // 3 a node: displacement from rest in quanta, car's frame
   int dirty;              // changed since the last crumple_copy of this car
   int alive;              // 0: despawned, or its server is gone
 } CrumpleSurface;
 // CRUMPLE_PENDING: followed, but nothing whole has arrived yet.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
-// Displacements from rest in metres: out[0..2] of each vertex, `stride` bytes apart (12: packed), at most `capacity` vertices.
+// Displacements of the vertices from rest in metres: out[0..2] of each, `stride` bytes apart (12: packed), at most `capacity`
+// of them. Needs the asset (crumple_mesh), and asks for it: CRUMPLE_PENDING until it has arrived.
 int crumple_copy(Crumple*, const char* car, float* out, size_t stride, size_t capacity);
 
 // The undamaged car, from the server, once per asset.

@@ -252,12 +252,12 @@ void take_health(Run& run) {
   run.late = health.late;
 }
 
-// Largest displacement of a surface vertex against the direction of travel (car's frame), as this viewer holds it.
+// Largest displacement of a node of the skin against the direction of travel (car's frame), as this viewer holds it.
 double crush(Run& run, const Vector3d& travel) {
   CrumpleSurface surface;
   if (crumple_surface(run.session.handle, run.options.id.c_str(), &surface) != CRUMPLE_OK) return 0;
   double most = 0;
-  for (uint32_t i = 0; i < surface.vertex_count; ++i) {
+  for (uint32_t i = 0; i < surface.node_count; ++i) {
     const int16_t* d = surface.quanta + 3 * i;
     most = std::max(most, -travel.dot(Vector3d(d[0], d[1], d[2])));
   }

@@ -6,6 +6,7 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <array>
 #include <cstdio>
 #include <cstring>
 
@@ -167,6 +168,34 @@ void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_
   answer.arrived = true;
 }
 
+// Nodes that a vertex moves with are numbered as keyframes and deltas have them: ascending. False if one is not there.
+bool read_skin(const schema::Car& car, Asset& asset) {
+  const uint32_t none = UINT32_MAX, nodes = car.node()->size();
+  const auto weights = [](const schema::Skin& skin) { return std::array{skin.wa(), skin.wb(), skin.wc(), skin.wd()}; };
+  const auto corners = [](const schema::Skin& skin) { return std::array{skin.a(), skin.b(), skin.c(), skin.d()}; };
+  std::vector<uint32_t> number(nodes, none);
+  for (const schema::Skin* skin : *car.skin()) {
+    for (size_t k = 0; k < 4; ++k) {
+      if (corners(*skin)[k] >= nodes) return false;
+      if (weights(*skin)[k] > 0) number[corners(*skin)[k]] = 0;
+    }
+  }
+  asset.skin_nodes = 0;
+  for (uint32_t& one : number)
+    if (one != none) one = asset.skin_nodes++;
+  asset.skin.clear();
+  for (const schema::Skin* skin : *car.skin()) {
+    SkinVertex vertex{};
+    for (size_t k = 0; k < 4; ++k) {
+      if (!(weights(*skin)[k] > 0)) continue;
+      vertex.at[k] = number[corners(*skin)[k]];
+      vertex.weight[k] = weights(*skin)[k];
+    }
+    asset.skin.push_back(vertex);
+  }
+  return asset.skin.size() == car.vertex()->size() && asset.skin_nodes > 0;
+}
+
 // The views of a mesh, once every piece is there and the bytes are those that the hash names.
 std::string read_mesh(const std::string& hash, Asset& asset) {
   const auto* bytes = reinterpret_cast<const uint8_t*>(asset.words.data());
@@ -181,6 +210,7 @@ std::string read_mesh(const std::string& hash, Asset& asset) {
   const bool fits = triangle.size() % 3 == 0 &&
                     std::all_of(triangle.begin(), triangle.end(), [&](uint32_t vertex) { return vertex < vertices; });
   if (!fits) return "triangles of asset " + hash + " name vertices that it does not have";
+  if (!read_skin(car, asset)) return "the skin of asset " + hash + " names nodes that it does not have";
   asset.mesh.vertex_count = vertices;
   asset.mesh.triangle_count = triangle.size() / 3;
   asset.mesh.vertex = reinterpret_cast<const float*>(car.vertex()->Data());
@@ -418,10 +448,20 @@ int crumple_copy(Crumple* session, const char* id, float* out, size_t stride, si
   if (stride < 12 || stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
   const Surface& surface = at->second.surface;
   if (surface.quanta.empty()) return CRUMPLE_PENDING;
-  const size_t count = std::min(capacity, surface.quanta.size() / 3);
-  for (size_t i = 0; i < count; ++i)
-    for (size_t axis = 0; axis < 3; ++axis)
-      out[i * (stride / 4) + axis] = surface.quantum * static_cast<float>(surface.quanta[3 * i + axis]);
+  CrumpleMesh mesh;
+  if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
+  const Asset& asset = session->assets.at(surface.asset);
+  if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
+    return fail(CRUMPLE_NO_ANSWER, "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
+  const size_t count = std::min(capacity, asset.skin.size());
+  for (size_t i = 0; i < count; ++i) {
+    const SkinVertex& vertex = asset.skin[i];
+    for (size_t axis = 0; axis < 3; ++axis) {
+      float sum = 0;
+      for (size_t k = 0; k < 4; ++k) sum += vertex.weight[k] * static_cast<float>(surface.quanta[3 * vertex.at[k] + axis]);
+      out[i * (stride / 4) + axis] = surface.quantum * sum;
+    }
+  }
   at->second.dirty = false;
   return CRUMPLE_OK;
 }

@@ -44,6 +44,12 @@ struct CommandAnswer {
   std::vector<uint8_t> state;
 };
 
+// A vertex: which of the skin's nodes it moves with, and how much.
+struct SkinVertex {
+  uint32_t at[4];
+  float weight[4];
+};
+
 struct Asset {
   uint64_t asking = 0;
   bool whole = false;
@@ -51,6 +57,8 @@ struct Asset {
   std::vector<uint64_t> words;  // the bytes, aligned
   size_t size = 0;
   CrumpleMesh mesh{};
+  uint32_t skin_nodes = 0;
+  std::vector<SkinVertex> skin;  // per vertex
 };
 
 // Keeps the sentence of crumple_error and gives the status back.

@@ -41,12 +41,12 @@ void print(Crumple* session, double bytes_per_second) {
     CrumpleSurface surface{};
     crumple_surface(session, id.c_str(), &surface);
     uint32_t displaced = 0;
-    for (uint32_t i = 0; i < surface.vertex_count; ++i) {
+    for (uint32_t i = 0; i < surface.node_count; ++i) {
       const int16_t* d = surface.quanta + 3 * i;
       displaced += d[0] || d[1] || d[2];
     }
-    std::printf("car %s  tick %llu  vertices %u  displaced %u  hash %016llx  %.0f bytes/s%s\n", id.c_str(),
-                static_cast<unsigned long long>(surface.tick), surface.vertex_count, displaced,
+    std::printf("car %s  tick %llu  nodes %u  displaced %u  hash %016llx  %.0f bytes/s%s\n", id.c_str(),
+                static_cast<unsigned long long>(surface.tick), surface.node_count, displaced,
                 static_cast<unsigned long long>(surface.hash), bytes_per_second, surface.alive ? "" : "  (gone)");
   }
   std::fflush(stdout);
@@ -69,9 +69,8 @@ void write_obj(Crumple* session, const std::string& id, const std::string& path)
   need(crumple_surface(session, id.c_str(), &surface));
   const CrumpleMesh mesh = mesh_of(session, surface);
   need(crumple_surface(session, id.c_str(), &surface));
-  if (mesh.vertex_count != surface.vertex_count) throw std::runtime_error("the surface and its asset have other vertex counts");
-  std::vector<float> displacement(size_t{3} * surface.vertex_count);
-  need(crumple_copy(session, id.c_str(), displacement.data(), 12, surface.vertex_count));
+  std::vector<float> displacement(size_t{3} * mesh.vertex_count);
+  need(crumple_copy(session, id.c_str(), displacement.data(), 12, mesh.vertex_count));
   std::ofstream file(path);
   file << "# " << mesh.attribution << "\n# car " << id << ", tick " << surface.tick << "\n";
   for (size_t i = 0; i < displacement.size(); i += 3) {

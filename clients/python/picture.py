@@ -37,6 +37,22 @@ def struct_array(data, first, count, kind, width):
     return np.frombuffer(data, kind, count * width, first._tab.Pos).reshape(count, width)
 
 
+def unpack(message):
+    """The numbers of a keyframe's or delta's part, modulo 2^16; schema/message.fbs says how they are packed."""
+    words, count, at = message.PackedAsNumpy(), message.Count(), 0
+    steps = np.zeros((-(-count // 16) * 16, 3), np.uint16)
+    bits = np.arange(16)
+    for first in range(0, count, 16):
+        head, at = int(words[at]), at + 1
+        for axis in range(3):
+            width = head >> 5 * axis & 31
+            stream = (words[at : at + width, None] >> bits & 1).reshape(16, width)
+            steps[first : first + 16, axis] = stream @ (1 << bits[:width])
+            at += width
+    steps = steps[:count]
+    return np.cumsum((steps >> 1) ^ (0 - (steps & 1)), axis=0, dtype=np.uint16).astype(np.int16).ravel()
+
+
 class Crash:
     """One car of the recording: its mesh, its dent at the end, and where it was when it last touched something."""
 
@@ -53,29 +69,25 @@ class Crash:
     def take_keyframe(self, message):
         self.asset, self.quantum = message.Asset().decode(), message.Quantum()
         if self.key_tick != message.Tick() or self.key is None:
-            self.key = np.zeros(3 * message.VertexCount(), np.int16)
+            self.key = np.zeros(3 * message.NodeCount(), np.int16)
             self.key_tick = message.Tick()
-        part = message.DisplacementAsNumpy()
-        self.key[3 * message.First() : 3 * message.First() + len(part)] = part
+        self.key[3 * message.First() : 3 * (message.First() + message.Count())] = unpack(message)
         self.now = self.key.copy()
 
     def take_delta(self, message):
         if message.Keyframe() != self.key_tick or self.key is None:
             return
-        if message.First() == 0:
-            self.now = self.key.copy()
-        words = message.ChangedAsNumpy()
-        difference, at = message.DifferenceAsNumpy(), 0
-        for block in range(64 * len(words)):
-            if not int(words[block // 64]) >> block % 64 & 1:
-                continue
-            start = 3 * (message.First() + 64 * block)
-            end = min(start + 192, len(self.now))
-            self.now[start:end] = self.key[start:end] + difference[at : at + end - start]
-            at += end - start
+        part = slice(3 * message.First(), 3 * (message.First() + message.Count()))
+        self.now[part] = self.key[part] + unpack(message)
 
-    def displacement(self):
-        return self.now.reshape(-1, 3) * self.quantum
+    def displacement(self, car):
+        """Of the vertices, m: each moves with four nodes of the skin."""
+        data, first = car._tab.Bytes, car.Skin(0)
+        skin = np.frombuffer(data, [("node", "<u4", 4), ("weight", "<f4", 4)], car.SkinLength(), first._tab.Pos)
+        used = np.unique(skin["node"][skin["weight"] > 0])
+        at = np.minimum(np.searchsorted(used, skin["node"]), len(used) - 1)
+        nodes = self.now.reshape(-1, 3) * self.quantum
+        return np.einsum("vk,vkx->vx", skin["weight"], nodes[at])
 
 
 def read(path):
@@ -165,13 +177,13 @@ def draw_car(crash, asset, paint, width):
     car, data = asset
     rest = struct_array(data, car.Vertex(0), car.VertexLength(), "<f4", 3).astype(float)
     triangle = car.TriangleAsNumpy().reshape(-1, 3)
-    after = rest + crash.displacement()
-    moved = np.linalg.norm(crash.displacement(), axis=1)
+    after = rest + crash.displacement(car)
+    moved = np.linalg.norm(crash.displacement(car), axis=1)
     extent = (rest.min(0), rest.max(0))
     center = (extent[0] + extent[1]) / 2
     # Seen from where it was hit, a little to the side and from above.
     hardest = moved >= np.quantile(moved, 0.97)
-    push = crash.displacement()[hardest].mean(0) if moved.max() > 0 else np.array([-1.0, 0, 0])
+    push = crash.displacement(car)[hardest].mean(0) if moved.max() > 0 else np.array([-1.0, 0, 0])
     bearing = np.arctan2(-push[1], -push[0]) if np.hypot(push[0], push[1]) > abs(push[2]) else 0.6
     away = 11.5 * np.array([np.cos(bearing + 0.62), np.sin(bearing + 0.62), 0.42])
     height = width * 10 // 16

@@ -156,6 +156,18 @@ void check(const Model& m, size_t regions, const std::string& name) {
          "its mass, inertia or centre of mass is not a sensible number");
 }
 
+std::vector<uint32_t> skin_nodes(const Model& model) {
+  std::vector<uint8_t> used(model.node.size());
+  for (const Skin& skin : model.skin) {
+    for (int k = 0; k < 4; ++k) used[skin.node[k]] |= skin.weight[k] > 0;
+  }
+  std::vector<uint32_t> out;
+  for (uint32_t i = 0; i < used.size(); ++i) {
+    if (used[i]) out.push_back(i);
+  }
+  return out;
+}
+
 std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::string& name, std::shared_ptr<const void> owner) {
   const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
   if (bytes.size() < 8 || !schema::CarBufferHasIdentifier(data)) refuse(name, "this is not a baked car");
@@ -196,6 +208,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   };
   check(car->model, car->regions.size(), name);
   car->blocks = make_blocks(car->model);
+  car->skin_node = skin_nodes(car->model);
   if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours, each next to all others");
   car->model.blocks = &car->blocks;
 

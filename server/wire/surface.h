@@ -1,6 +1,7 @@
-// A car's surface on its way to the viewers. In: displacements of the surface vertices from rest. Out: keyframes and deltas,
-// each message below 64,000 bytes, so that it travels in one batch. Law: a delta is against the last keyframe, never against
-// another delta; what a viewer holds after keyframe and delta is what the server holds, or is told from it by the hash.
+// A car's surface on its way to the viewers. In: displacements from rest of the nodes that its skin uses; there are fewer of
+// them than vertices, and the viewer has the weights. Out: keyframes and deltas, each message below 64,000 bytes, so that it
+// travels in one batch. Law: a delta is against the last keyframe, never against another delta; what a viewer holds after
+// keyframe and delta is what the server holds, or is told from it by the hash.
 #pragma once
 
 #include <cstdint>
@@ -16,8 +17,12 @@ namespace crumple {
 inline constexpr size_t part_size = 64'000;        // bytes that no keyframe or delta message reaches
 inline constexpr uint64_t keyframe_interval = 60;  // ticks between keyframes while deltas flow
 
-// Displacements in quanta, 3 a vertex: rounded half away from zero, clamped to +-32767.
-void quantise(std::span<const Vec3> vertex, std::span<const Vec3> rest, float quantum, std::span<int16_t> displacement);
+// Displacements (m) in quanta, 3 a node: rounded half away from zero, clamped to +-32767. Weights of the skin are not negative
+// and sum to 1, so that no vertex is farther off than half a quantum on each axis.
+void quantise(std::span<const Vec3> displacement, float quantum, std::span<int16_t> quanta);
+
+// Numbers of three axes as schema/message.fbs describes them: `now`, or its differences from `then` where that is not empty.
+std::vector<uint16_t> pack(std::span<const int16_t> now, std::span<const int16_t> then);
 
 // XXH64 of the displacements, little endian, seed 0.
 uint64_t hash(std::span<const int16_t> displacement);
@@ -29,11 +34,11 @@ struct SurfaceHead {
   float quantum = 0;  // m
 };
 
-// The displacements in parts of consecutive vertices, each at most `largest` vertices.
-inline constexpr uint32_t keyframe_part = 10'000;  // vertices: 60,000 bytes
-std::vector<Bytes> encode_keyframe(const SurfaceHead&, std::span<const int16_t> displacement, uint32_t largest = keyframe_part);
+// The displacements in parts of consecutive nodes, each at most `largest` nodes.
+inline constexpr uint32_t part_nodes = 10'000;  // 61,250 bytes, where nothing can be packed
+std::vector<Bytes> encode_keyframe(const SurfaceHead&, std::span<const int16_t> displacement, uint32_t largest = part_nodes);
 
-// The blocks that differ from the keyframe of tick `keyframe_tick`, in parts.
+// The differences from the keyframe of tick `keyframe_tick`, in parts.
 std::vector<Bytes> encode_delta(const SurfaceHead&, std::span<const int16_t> displacement, uint64_t keyframe_tick,
                                 std::span<const int16_t> keyframe);
 
