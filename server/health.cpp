@@ -8,6 +8,22 @@
 namespace crumple {
 namespace {
 
+constexpr double told_seconds = 10;  // ten healths, any of which shows a viewer that it lost something
+constexpr size_t told_most = 500;    // cars in one health, the latest, so that it stays one batch
+
+// Cars of which viewers were sent something lately.
+std::vector<HealthReport::CarTold> told_lately(const World& world) {
+  std::vector<HealthReport::CarTold> out;
+  for (const auto& [id, car] : world.cars) {
+    if (car.told.tick > 0 && double(world.tick - car.told.tick) <= told_seconds * world.rate)
+      out.push_back({id, car.told.tick});
+  }
+  if (out.size() <= told_most) return out;
+  std::stable_sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return a.tick > b.tick; });
+  out.resize(told_most);
+  return out;
+}
+
 uint64_t nanometres(double metres) { return uint64_t(std::llround(1e9 * std::min(metres, 1e9))); }
 
 }  // namespace
@@ -51,6 +67,7 @@ Message health(World& world, uint64_t late, const std::vector<std::pair<std::str
   };
   for (const auto& [name, value] : more_counts) report.counts.push_back({name, value, 0});
   for (size_t i = 0; i < reason_count; ++i) report.refusals.push_back({reason_names[i], tally.refusals[i], 0});
+  report.told = told_lately(world);
   tally.ticks = tally.solved = tally.most_work = 0;
   tally.residual_sum = tally.residual_worst = 0;
   tally.sum = tally.worst = {};

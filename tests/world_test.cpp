@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <random>
 
 #include "box_car.h"
 #include "host.h"
@@ -312,6 +313,7 @@ TEST(World, IsTheSameBitForBitWithOneTwoAndFourThreads) {
 struct Frame {
   uint64_t tick;
   std::vector<Message> messages;
+  Message health;
   std::vector<int16_t> surface;  // the server's
 };
 
@@ -329,7 +331,7 @@ const std::vector<Frame>& film() {
       if (k == 80) inbox = {{"host/game/obstacles", host::obstacles(2, {})}};
       inbox.push_back({"host/game/poses", host::poses(k + 1, {{"a"}})});  // scripted: it stands
       scene.step(inbox);
-      Frame frame{tick_count(*scene.world), {}, scene.car("a").told.latest};
+      Frame frame{tick_count(*scene.world), {}, health(*scene.world, 0, {}), scene.car("a").told.latest};
       for (const Message& message : scene.outbox) {
         if (message.key.starts_with("car/a/")) frame.messages.push_back(message);
       }
@@ -387,6 +389,92 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
     }
     ASSERT_EQ(all.held(), frame.surface) << "tick " << frame.tick;
   }
+}
+
+// A viewer behind a bad line: messages are lost, doubled and late by up to two seconds, so that they overtake each other;
+// questions and answers too. It asks when it lacks a keyframe, and when it has heard nothing for half a second, as the client
+// library does.
+struct Weather {
+  std::mt19937 random;
+  double loss;
+  uint64_t latest;  // ticks
+  std::multimap<uint64_t, const Message*> flying;
+  std::multimap<uint64_t, bool> questions;
+  host::Viewer viewer;
+  uint64_t heard = 0, asked = 0;
+  bool unsure = true;
+
+  explicit Weather(unsigned seed) : random(seed), loss(0.009 * double(seed % 100)), latest(seed % 120) {}
+  bool lucky() { return std::uniform_real_distribution<double>()(random) >= loss; }
+  uint64_t delay() { return random() % 4 == 0 ? random() % (latest + 1) : random() % 3; }
+  void send(uint64_t now, const Message& message) {
+    for (int copies = random() % 8 == 0 ? 2 : 1; copies > 0; --copies) {
+      if (lucky()) flying.emplace(now + delay(), &message);
+    }
+  }
+  void ask(uint64_t now) {
+    if (asked > 0 && now < asked + 60) return;  // an answer may still come
+    asked = now;
+    unsure = false;
+    if (lucky()) questions.emplace(now + delay(), true);
+  }
+  void take_health(uint64_t now, const Message& message) {
+    for (const auto* told : *host::read_as<schema::Health>(message.bytes)->told()) {
+      const bool older = viewer.held().empty() || viewer.surface.tick < told->tick();
+      if (told->car()->str() == "a" && older && now > heard + 6) ask(now);
+    }
+  }
+  void take(uint64_t now, const Message& message) {
+    if (message.key == "health") return take_health(now, message);
+    const std::span bytes(reinterpret_cast<const uint8_t*>(message.bytes.data()), message.bytes.size());
+    const client::Outcome outcome = message.key.ends_with("/key") ? client::apply_keyframe(bytes, viewer.surface)
+                                                                  : client::apply_delta(bytes, viewer.surface);
+    ASSERT_NE(outcome.applied, client::Applied::refused) << outcome.why;
+    heard = now;
+    unsure = true;
+    if (outcome.applied == client::Applied::missing_keyframe) ask(now);
+  }
+};
+
+TEST(Viewers, InAnyWeatherHoldNothingThatTheServerNeverHadAndAreEqualAfterwards) {
+  std::map<uint64_t, const Frame*> frames;
+  for (const Frame& frame : film()) frames[frame.tick] = &frame;
+  const uint64_t last = film().back().tick;
+  size_t seen = 0;
+  for (unsigned seed = 0; seed < 1000; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Weather weather(seed);
+    const Message* keyframe = nullptr;
+    uint64_t held = 0;
+    const uint64_t joined = seed % 7 == 0 ? weather.random() % last : 0;
+    for (uint64_t now = 1; now < last + 600; ++now) {
+      if (now == last + 300) weather.loss = 0;  // calm
+      if (now % 60 == 0) weather.send(now, frames.at(std::min(now, last))->health);
+      if (const auto frame = frames.find(now); frame != frames.end()) {
+        for (const Message& message : frame->second->messages) {
+          if (is_key(message)) keyframe = &message;
+          if (now >= joined) weather.send(now, message);
+        }
+      }
+      if (now == joined || (weather.unsure && now > weather.heard + 30)) weather.ask(now);
+      for (auto one = weather.questions.begin(); one != weather.questions.end() && one->first <= now;) {
+        if (keyframe && weather.lucky()) weather.flying.emplace(now + weather.delay(), keyframe);
+        one = weather.questions.erase(one);
+      }
+      while (!weather.flying.empty() && weather.flying.begin()->first <= now) {
+        weather.take(now, *weather.flying.begin()->second);
+        weather.flying.erase(weather.flying.begin());
+      }
+      if (weather.viewer.held().empty()) continue;
+      const uint64_t tick = weather.viewer.surface.tick;
+      ASSERT_GE(tick, held);
+      ASSERT_EQ(weather.viewer.held(), frames.at(tick)->surface);
+      seen += tick > held;
+      held = tick;
+    }
+    ASSERT_EQ(weather.viewer.held(), film().back().surface) << "held " << held << " of " << last;
+  }
+  EXPECT_GT(seen, 10'000u);
 }
 
 TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
@@ -517,6 +605,27 @@ TEST(Health, ShowsRefusalsByReasonCountsAgainstLimitsAndTimesByRoom) {
   EXPECT_EQ(refusals["out_of_range"], 0u);
   for (const char* room : {"decode", "contacts", "solve", "flow", "surface", "tick"}) EXPECT_GT(rooms[room], 0) << room;
   EXPECT_EQ(refusal_count(*scene.world), 2u);
+}
+
+TEST(Health, NamesTheCarsThatViewersWereToldOfForTenSeconds) {
+  Scene scene;
+  crash(scene, 10);
+  const auto told = [&] {
+    std::map<std::string, uint64_t> out;
+    const Message message = health(*scene.world, 0, {});
+    for (const auto* car : *host::read_as<schema::Health>(message.bytes)->told()) out[car->car()->str()] = car->tick();
+    return out;
+  };
+  uint64_t last = told()["a"];
+  EXPECT_GT(last, 0u);
+  while (tick_count(*scene.world) < last + 600) {
+    scene.step();
+    if (!scene.sent("car/a/key").empty() || !scene.sent("car/a/delta/0").empty()) last = tick_count(*scene.world);
+    ASSERT_EQ(told()["a"], last);
+  }
+  EXPECT_EQ(told().size(), 1u);
+  scene.step();
+  EXPECT_TRUE(told().empty());
 }
 
 TEST(Health, TheClockHasNoInfluenceOnTheWorld) {

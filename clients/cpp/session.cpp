@@ -134,12 +134,25 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   while (session.reactions.size() > reactions_kept) session.reactions.pop_front();
 }
 
+// A car of which the server has told something newer than what is held: it was lost, or is still on its way.
+void ask_for_the_lost(Crumple& session, const schema::Health& message) {
+  if (!message.told()) return;
+  for (const auto* told : *message.told()) {
+    const auto at = session.cars.find(told->car()->str());
+    if (at == session.cars.end()) continue;
+    FollowedCar& car = at->second;
+    const bool older = car.surface.quanta.empty() || car.surface.tick < told->tick();
+    if (older && Clock::now() - car.last > on_its_way) ask_for_keyframe(session, at->first, car);
+  }
+}
+
 void take_health(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Health>(bytes);
   if (!message) {
     ++session.statistics.refused;
     return;
   }
+  ask_for_the_lost(session, *message);
   CrumpleHealth& health = session.health;
   health = {message->tick(), message->late(), message->rate(), 0, 0, 0};
   if (message->rooms())

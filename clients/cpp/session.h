@@ -20,6 +20,8 @@ using Clock = std::chrono::steady_clock;
 // Longest wait for the message after the last one: a car that falls silent is asked for its keyframe once, since the last
 // delta or keyframe may have been lost and an idle car sends nothing.
 inline constexpr std::chrono::milliseconds silence{500};
+// What health says of a car that spoke so lately may still be on its way.
+inline constexpr std::chrono::milliseconds on_its_way{100};
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr size_t answers_kept = 256;
 // An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8

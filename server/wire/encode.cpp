@@ -74,8 +74,10 @@ Bytes encode_health(const HealthReport& report) {
     rooms.push_back(schema::CreateRoomDirect(builder, room.name.c_str(), float(1e3 * room.mean), float(1e3 * room.worst)));
   }
   const auto counts = encode_counts(builder, report.counts), refusals = encode_counts(builder, report.refusals);
-  return finish(builder,
-                schema::CreateHealthDirect(builder, report.tick, float(report.rate), report.late, &rooms, &counts, &refusals));
+  std::vector<flatbuffers::Offset<schema::CarTold>> told;
+  for (const auto& car : report.told) told.push_back(schema::CreateCarToldDirect(builder, car.car.c_str(), car.tick));
+  return finish(builder, schema::CreateHealthDirect(builder, report.tick, float(report.rate), report.late, &rooms, &counts,
+                                                    &refusals, &told));
 }
 
 }  // namespace crumple

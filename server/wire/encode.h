@@ -38,6 +38,11 @@ struct HealthReport {
   uint64_t late = 0;
   std::vector<Room> rooms;
   std::vector<Count> counts, refusals;
+  struct CarTold {
+    std::string car;
+    uint64_t tick;
+  };
+  std::vector<CarTold> told;
 };
 Bytes encode_health(const HealthReport&);
 

@@ -103,6 +103,7 @@ News tell(const SurfaceHead& head, bool settled, std::span<const int16_t> displa
   const bool refresh = told.flowing && (settled || head.tick - told.keyframe_tick >= keyframe_interval);
   if (!told.due && !refresh && !changed) return {};
   told.latest.assign(displacement.begin(), displacement.end());
+  told.tick = head.tick;
   if (told.due || refresh) {
     told.keyframe = told.latest;
     told.keyframe_tick = head.tick;

@@ -46,6 +46,7 @@ std::vector<Bytes> encode_delta(const SurfaceHead&, std::span<const int16_t> dis
 struct Told {
   std::vector<int16_t> keyframe;  // displacement of the last keyframe
   std::vector<int16_t> latest;    // of the last message
+  uint64_t tick = 0;              // of the last message
   uint64_t keyframe_tick = 0;     // 0: nothing was sent yet
   bool due = true;                // a keyframe must follow whatever comes: spawned, loaded, repaired
   bool flowing = false;           // deltas were sent since the keyframe
