@@ -523,6 +523,35 @@ TEST(Law, ObstaclesThatLeaveACarNoRoomDoNotThrowIt) {
   }
 }
 
+// Two walls leave a node the wedge between them, and that begins far away where they are nearly parallel.
+TEST(Law, WallsThatCloseAtASharpAngleDoNotSendNodesToWhereTheyMeet) {
+  Crash crash;
+  crash.scripted();
+  for (const double side : {1.0, -1.0}) {
+    const Eigen::Vector3d inward(-side * std::cos(0.03), std::sin(0.03), 0);
+    Obstacle& wall = crash.obstacles.emplace_back();
+    make_half_space(wall);
+    wall.pose.position = {side * (crash.front + 0.05), 0, 0};
+    wall.pose.orientation = Eigen::Quaterniond::FromTwoVectors(Eigen::Vector3d::UnitZ(), inward);
+    wall.velocity = 4 * inward;
+  }
+  for (int k = 0; k < 60; ++k) {
+    EXPECT_FALSE(crash.tick().recovered) << "tick " << k;
+    ASSERT_LT(crash.farthest(), 10) << "tick " << k;  // without the bound: 11 m, and farther
+  }
+}
+
+TEST(Law, AStiffBodyStretchedFarBeyondItsSizeStaysFinite) {
+  Crash crash;
+  crash.scripted();
+  for (Material& material : crash.parameters.region) material.young_modulus = 1e10f, material.poisson_ratio = 0.45f;
+  for (size_t i = 0; i < crash.body.node.size(); ++i) {
+    if (!crash.model.node_anchored[i]) crash.body.node[i] *= 30;
+  }
+  crash.body.settled = false;
+  for (int k = 0; k < 10; ++k) EXPECT_FALSE(crash.tick().recovered) << "tick " << k;
+}
+
 // A block so stiff that one sub-step of its contact force turns the motion around many times over.
 TEST(Law, AWallThrowsNoCarBackFasterThanItCame) {
   for (const double wall_speed : {0.0, 8.0}) {

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <bit>
+#include <initializer_list>
 
 #include "sim/kernels.h"
 
@@ -58,13 +59,18 @@ CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane
   return out;
 }
 
-// hessian^-1 gradient
+// hessian^-1 gradient. Scaled by a power of two first, which changes no bit of the result: the determinant of a stiff and far
+// stretched block is beyond single precision.
 template <int N>
-CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& b) {
+CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& block) {
+  const Floats<N> trace = block.xx + block.yy + block.zz;
+  const Floats<N> down = 1.0f / larger((Floats<N>)((Ints<N>)trace & 0x7f800000), broadcast<N>(1e-30f));
+  Block<N> b = block;
+  for (Floats<N>* each : {&b.xx, &b.yy, &b.zz, &b.xy, &b.xz, &b.yz}) *each *= down;
   const Floats<N> xx = b.yy * b.zz - b.yz * b.yz, xy = b.xz * b.yz - b.xy * b.zz, xz = b.xy * b.yz - b.xz * b.yy;
   const Floats<N> yy = b.xx * b.zz - b.xz * b.xz, yz = b.xy * b.xz - b.xx * b.yz, zz = b.xx * b.yy - b.xy * b.xy;
   const Floats<N> scale = 1.0f / (b.xx * xx + b.xy * xy + b.xz * xz);
-  const Vec3s<N>& g = b.gradient;
+  const Vec3s<N> g = b.gradient * down;
   return {(xx * g.x + xy * g.y + xz * g.z) * scale, (xy * g.x + yy * g.y + yz * g.z) * scale,
           (xz * g.x + yz * g.y + zz * g.z) * scale};
 }

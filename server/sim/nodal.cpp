@@ -17,8 +17,12 @@ struct Block {
   Mat3 hessian;
 };
 
-// The lowest point of the block on the planes `active` of this node's contacts, or nothing where a multiplier is negative or
-// another plane is violated.
+// Planes push a node no farther than this many times the deepest of them: two that meet at a sharp angle would send it to where
+// they meet, far from the car.
+constexpr float farthest_push = 5;
+
+// The lowest point of the block on the planes `active` of this node's contacts, or nothing where a multiplier is negative,
+// another plane is violated or that point is too far.
 bool constrained(const Contact* contacts, int count, unsigned active, const Mat3& inverse, const Vec3& free, Vec3& out,
                  Vec3& multiplier) {
   int chosen[contacts_per_node], size = 0;
@@ -44,6 +48,7 @@ bool constrained(const Contact* contacts, int count, unsigned active, const Mat3
     multiplier[chosen[i]] = solved[i];
     out += inverse * (solved[i] * contacts[chosen[i]].normal);
   }
+  if (size > 1 && (out - free).squaredNorm() > farthest_push * farthest_push * gap.cwiseAbs2().maxCoeff()) return false;
   for (int i = 0; i < count; ++i) {
     if (!(active >> i & 1) && contacts[i].normal.dot(out) < contacts[i].offset - 1e-6f) return false;
   }
