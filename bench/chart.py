@@ -130,7 +130,7 @@ def draw_peers(axes, peers):
                              for row in peers if row["peer"] == peer]))
         if line:
             axes.plot(*zip(*line), color=colour, marker=mark, linestyle="--", linewidth=1.2,
-                      label=f"{peer} in the peers' scene (best of its models)")
+                      label=f"{peer}, its best model (dashed)")
 
 
 def peers_within(peers, **wanted):
@@ -163,7 +163,7 @@ def draw_frontier(rows, peers, car, path):
             draw_peers(axes, pick(beside, threads=1))
             axes.set_title(axes.get_title() + f"\ndashed: the elastic push of bench/peers (it moves front nodes)\n"
                            f"on {beside[0]['mesh']}, {beside[0]['nodes']:,.0f} nodes", fontsize=8)
-        axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False)
+        axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
         axes.set_ylim(1e-3, 120)  # below it is rounding
     all_axes[0][0].set_ylabel("error, rms, % of the largest displacement,\nagainst the method's own converged answer")
     save(figure, path)
