@@ -17,11 +17,11 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <fstream>
 #include <limits>
 #include <stdexcept>
 
 #include "asset/map_level.h"
+#include "machine.h"
 #include "rooms.h"
 #include "sim/nodal.h"
 #include "state.h"
@@ -157,15 +157,6 @@ Play play(const std::shared_ptr<const Car>& asset, const Scene& scene, int threa
     if (again.seconds < best.seconds) best = std::move(again);
   }
   return best;
-}
-
-std::string machine() {
-  std::ifstream file("/proc/cpuinfo");
-  for (std::string line; std::getline(file, line);) {
-    if (line.starts_with("model name"))
-      return line.substr(line.find(':') + 2) + ", " + std::to_string(std::thread::hardware_concurrency()) + " cores";
-  }
-  return "unknown";
 }
 
 struct Options {

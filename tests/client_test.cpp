@@ -5,12 +5,15 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <memory>
 #include <random>
 
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
 #include "cpp/surface.h"
 #include "schema/message_generated.h"
+#include "transport/transport.h"
+#include "wire/encode.h"
 #include "wire/surface.h"
 
 namespace crumple {
@@ -276,6 +279,48 @@ TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
   options.scene = "main";
   options.host = "*";
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+}
+
+// A server of the test's own, over the real network: it can keep back what a line would lose.
+TEST(Client, AsksForWhatHealthSaysThatItLost) {
+  Net* net = nullptr;
+  ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &net), TRANSPORT_OK) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> server(net, net_close);
+  ASSERT_EQ(net_queryable(net, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
+  ASSERT_EQ(net_announce(net, "crumple/1/main/server"), TRANSPORT_OK);
+  ASSERT_EQ(net_announce(net, "crumple/1/main/car/a"), TRANSPORT_OK);
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(net), "main", nullptr};
+  Crumple* handle = nullptr;
+  ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
+  const std::unique_ptr<Crumple, decltype(&crumple_close)> session(handle, crumple_close);
+  ASSERT_EQ(crumple_follow(handle, "a"), CRUMPLE_OK);
+
+  uint64_t tick = 5, questions = 0;
+  const Quanta quanta(3 * nodes, 1);
+  const auto holds = [&](uint64_t wanted, bool healths) {
+    HealthReport report;
+    report.told.push_back({"a", tick});
+    const Bytes health = encode_health(report);
+    CrumpleSurface surface{};
+    for (int k = 0; k < 500; ++k) {
+      if (healths && k % 20 == 0) net_put(net, "crumple/1/main/health", health.data(), health.size(), NET_DATA);
+      NetEvent events[16];
+      const int count = net_poll(net, events, 16, 5'000);
+      for (int e = 0; e < count; ++e) {
+        if (events[e].kind != NET_QUERY) continue;
+        const Bytes answer = keyframe(tick, quanta).front();
+        net_reply(net, events[e].ticket, answer.data(), answer.size(), 0);
+        ++questions;
+      }
+      crumple_poll(handle, 5'000);
+      if (crumple_surface(handle, "a", &surface) == CRUMPLE_OK && surface.tick == wanted) return true;
+    }
+    return false;
+  };
+  ASSERT_TRUE(holds(5, false)) << "the first keyframe";
+  const uint64_t asked = questions;
+  tick = 9;  // and nobody was sent it
+  EXPECT_TRUE(holds(9, true)) << "asked " << questions - asked << " times more";
 }
 
 std::string scene_trouble(const std::string& text) {

@@ -220,15 +220,20 @@ Forces elastic_forces(const Crash& crash) {
   return out;
 }
 
-TEST(Nodal, ConvergedNodesCarryNoForceByAnIndependentDoublePrecisionGradient) {
-  Crash crash;
+// Scripted, converged, and nothing flows: the minimiser is a plain one.
+void minimise_elastically(Crash& crash) {
   crash.scripted();
   crash.parameters.iterations = 400;
   crash.parameters.tolerance = 0;
   for (Material& material : crash.parameters.region) {
-    material.yield = 1;  // elastic: the minimiser is a plain one
+    material.yield = 1;
     material.viscosity = 0;
   }
+}
+
+TEST(Nodal, ConvergedNodesCarryNoForceByAnIndependentDoublePrecisionGradient) {
+  Crash crash;
+  minimise_elastically(crash);
   crash.wall(0).velocity = {-1.2, 0, 0};
   crash.obstacles[0].friction = 0;
   crash.tick();
@@ -248,13 +253,7 @@ TEST(Nodal, ConvergedNodesCarryNoForceByAnIndependentDoublePrecisionGradient) {
 
 TEST(Nodal, TwoPlanesTogetherPressWithTheForceThatTheirNodeLacks) {
   Crash crash;
-  crash.scripted();
-  crash.parameters.iterations = 400;
-  crash.parameters.tolerance = 0;
-  for (Material& material : crash.parameters.region) {
-    material.yield = 1;
-    material.viscosity = 0;
-  }
+  minimise_elastically(crash);
   // Two poles along z with a cleft between them that closes on the middle of the nose: their planes meet at 60 degrees.
   for (const double side : {0.1, -0.1}) {
     Obstacle& pole = crash.obstacles.emplace_back();

@@ -489,10 +489,8 @@ Effort solve_nodal(const Model& model, const Parameters& parameters, double mass
   int done = 0;
   while (done < parameters.iterations) {
     scratch.from = scratch.node;
-    for (int k = 0; k < sweeps_a_step && done < parameters.iterations; ++k, ++done) {
-      if (k % 2 == 0) renew_stiffness(blocks, scratch);
-      sweep(blocks, view, scratch.team);
-    }
+    renew_stiffness(blocks, scratch);
+    for (int k = 0; k < sweeps_a_step && done < parameters.iterations; ++k, ++done) sweep(blocks, view, scratch.team);
     compare_step(scratch, body.history);
     mean = scratch.residual_size / double(std::max<size_t>(1, awake_nodes(scratch)));
     if (scratch.compared && mean <= enough && scratch.residual_size <= small_share * small_share * way_size(quiet, scratch))

@@ -26,7 +26,7 @@ inline constexpr double lost_share = 0.002;
 // Beside Parameters::tolerance: of the nodes' way in the sub-step the last two sweeps make up no more than this share. Else a
 // push so slow that its whole way is within the tolerance would not be solved at all, and its force be several times too high.
 inline constexpr double small_share = 0.05;
-// Sweeps that together are one step of the mixing, with moduli renewed before every second one.
+// Sweeps that together are one step of the mixing, with moduli renewed before it.
 inline constexpr int sweeps_a_step = 2;
 
 // Before the first sub-step of a tick: the car's state as the kernels want it.

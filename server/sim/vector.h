@@ -59,7 +59,7 @@ CRUMPLE_INLINE Floats<N> magnitude(const Floats<N>& v) {
 
 template <int N>
 CRUMPLE_INLINE unsigned bits(const Ints<N>& mask) {
-#ifdef __AVX__
+#ifdef __AVX__  // one instruction, where the compiler takes lane by lane out of the loop
   if constexpr (N == 8) return unsigned(__builtin_ia32_movmskps256((Floats<8>)mask));
 #endif
   unsigned out = 0;
