@@ -632,34 +632,56 @@ TEST(Classic, WithoutPlasticityTheDentGoesAndWithItStays) {
   }
 }
 
+// The box car, fast and turning, among six obstacles around it.
+Crash random_scene(int scene, std::mt19937& random) {
+  std::uniform_real_distribution<double> unit(-1, 1);
+  Crash crash;
+  crash.mass.planar = scene % 2;
+  crash.parameters.iterations = 12;
+  crash.motion.velocity = 30 * Eigen::Vector3d(unit(random), unit(random), 0.2 * unit(random));
+  if (crash.mass.planar) crash.motion.velocity.z() = 0;  // nothing could slow it there
+  crash.motion.angular_velocity = 5 * Eigen::Vector3d(0, 0, unit(random));
+  for (int k = 0; k < 6; ++k) {
+    Obstacle obstacle;
+    if (k % 3 == 0) make_box(Vec3::Constant(float(0.3 + 0.2 * unit(random))), obstacle);
+    if (k % 3 == 1) make_sphere(float(0.4 + 0.2 * unit(random)), obstacle);
+    if (k % 3 == 2) make_capsule(0.2f, 2, obstacle);
+    // Around the car, not in it.
+    const Eigen::Vector3d direction = Eigen::Vector3d(unit(random), unit(random), 0.3 * unit(random)).normalized();
+    obstacle.pose.position = Eigen::Vector3d(0, 0, 0.7) + 3.4 * direction;
+    crash.obstacles.push_back(obstacle);
+  }
+  return crash;
+}
+
 TEST(Hostile, RandomScenesStayFiniteAndCreateNoEnergy) {
-  // Of the 1,800 scenes of seeds 1 to 150 one in fifty creates more, the worst 47 %: cells of half a metre, hit at up to 40
-  // m/s, take more in one sub-step than the motion has, and what is owed is forgotten with the tick.
+  // Of the 1,800 scenes of seeds 1 to 150 one in eighty ends with more, the worst with 1.66 times: cells of half a metre, hit
+  // at up to 40 m/s, absorb more in one sub-step than the motion has. Nothing of that ever moves a car.
   const unsigned seed = GTEST_FLAG_GET(random_seed) > 0 ? unsigned(GTEST_FLAG_GET(random_seed)) : 1;
   std::mt19937 random(seed);
-  std::uniform_real_distribution<double> unit(-1, 1);
   for (int scene = 0; scene < 12; ++scene) {
     SCOPED_TRACE("seed " + std::to_string(seed) + " scene " + std::to_string(scene) + " (--gtest_random_seed)");
-    Crash crash;
-    crash.mass.planar = scene % 2;
-    crash.parameters.iterations = 12;
-    crash.motion.velocity = 30 * Eigen::Vector3d(unit(random), unit(random), 0.2 * unit(random));
-    if (crash.mass.planar) crash.motion.velocity.z() = 0;  // nothing could slow it there
-    crash.motion.angular_velocity = 5 * Eigen::Vector3d(0, 0, unit(random));
-    for (int k = 0; k < 6; ++k) {
-      Obstacle obstacle;
-      if (k % 3 == 0) make_box(Vec3::Constant(float(0.3 + 0.2 * unit(random))), obstacle);
-      if (k % 3 == 1) make_sphere(float(0.4 + 0.2 * unit(random)), obstacle);
-      if (k % 3 == 2) make_capsule(0.2f, 2, obstacle);
-      // Around the car, not in it.
-      const Eigen::Vector3d direction = Eigen::Vector3d(unit(random), unit(random), 0.3 * unit(random)).normalized();
-      obstacle.pose.position = Eigen::Vector3d(0, 0, 0.7) + 3.4 * direction;
-      crash.obstacles.push_back(obstacle);
-    }
+    Crash crash = random_scene(scene, random);
     const double brought = crash.energy();
-    for (int k = 0; k < 20; ++k) EXPECT_FALSE(crash.tick().recovered);
+    for (int k = 0; k < 20; ++k) {
+      EXPECT_FALSE(crash.tick().recovered);
+      EXPECT_LE(kinetic_energy(crash.motion, crash.mass), 1.000001 * brought);
+    }
     for (const Vec3& node : crash.body.node) ASSERT_TRUE(node.allFinite());
     EXPECT_LT(crash.energy(), 1.02 * brought);
+  }
+}
+
+// Those in which bodies stored the most that no motion gave them: cars that got it back ended with 1.14 to 1.47 times the
+// energy.
+TEST(Hostile, WhatTheMotionDidNotGiveIsNotReturnedToIt) {
+  for (const auto& [seed, number] : {std::pair{82u, 10}, {146u, 2}, {25u, 11}, {65u, 9}}) {
+    std::mt19937 random(seed);
+    for (int scene = 0; scene < number; ++scene) random_scene(scene, random);
+    Crash crash = random_scene(number, random);
+    const double brought = crash.energy();
+    for (int k = 0; k < 20; ++k) crash.tick();
+    EXPECT_LT(crash.energy(), 1.02 * brought) << "seed " << seed << " scene " << number;
   }
 }
 

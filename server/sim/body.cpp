@@ -95,6 +95,7 @@ uint64_t hash(const Body& body) {
   sum = XXH64(body.history.products.data(), sizeof body.history.products, sum);
   const double numbers[] = {body.absorbed,
                             body.stored,
+                            body.owed,
                             double(body.reach),
                             double(body.touching),
                             double(body.settled),

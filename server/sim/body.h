@@ -22,6 +22,7 @@ struct Body {
   History history;                   // of the solver's last steps; empty when settled
   double absorbed = 0;               // J since spawn: plastic work, drag, friction
   double stored = 0;                 // J: elastic, now
+  double owed = 0;                   // J of it that the motion did not give: the body may not return them
   float reach = 0;                   // of the farthest node from the centre of mass, m
   // Of the contacts on the car at the end of the last sub-step, N and N m about the centre of mass, world axes.
   Eigen::Vector3d force = Eigen::Vector3d::Zero();

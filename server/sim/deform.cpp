@@ -76,6 +76,7 @@ void heal(const Model& model, Body& body) {
   }
   if (!std::isfinite(body.absorbed)) body.absorbed = 0;
   if (!std::isfinite(body.stored)) body.stored = 0;
+  if (!std::isfinite(body.owed)) body.owed = 0;
   if (!body.force.allFinite() || !body.moment.allFinite()) body.force.setZero(), body.moment.setZero();
 }
 
@@ -343,7 +344,7 @@ void tick_classic(const Model& model, const Parameters& parameters, const Mass& 
 bool finite(const Body& body, const Motion& motion) {
   bool all = motion.pose.position.allFinite() && motion.velocity.allFinite() && motion.angular_velocity.allFinite();
   for (const Vec3& node : body.node) all = all && node.allFinite();
-  return all && std::isfinite(body.absorbed) && std::isfinite(body.stored);
+  return all && std::isfinite(body.absorbed) && std::isfinite(body.stored) && std::isfinite(body.owed);
 }
 
 }  // namespace
@@ -369,12 +370,13 @@ Response deform(const Model& model, const Parameters& parameters, const Mass& ma
   } else {
     const int count = substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
     const double h = seconds / count;
-    double spring = body.lost ? 0 : body.stored;
+    double spring = body.lost ? 0 : std::max(0.0, body.stored - body.owed);
     float last = body.step_seconds > 0 ? body.step_seconds : float(h);
     for (int k = 0; k < count; ++k) {
       last = step(model, parameters, mass, obstacles, {k * h, h, last}, scratch, body, motion, response, spring, timer);
     }
     scratch.team.leave();
+    body.owed = body.lost || body.settled || !std::isfinite(mass.mass) ? 0 : std::max(0.0, body.stored - spring);
   }
   if (scratch.prepared && !finite(body, motion)) {
     std::swap(body, scratch.backup);

@@ -52,6 +52,7 @@ Body transfer(const Model& from, const Model& to, const LevelMap& map, const Bod
   }
   out.absorbed = body.absorbed;
   out.stored = body.stored;
+  out.owed = body.owed;
   out.lost = body.lost;
   out.settled = body.settled;
   measure_reach(to, out);
