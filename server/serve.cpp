@@ -178,11 +178,11 @@ void run_tick(Server& server) {
     for (const Message& message : server.inbox) server.recording->input(number, message, wall_ns());
   const auto begun = Clock::now();
   tick(*server.world, server.inbox, server.outbox, server.threads);
+  const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
   server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), work(*server.world));
   announce_cars(server);
   for (const Message& message : server.outbox) publish(server, message);
   if (server.recording) {
-    const uint64_t time = wall_ns();
     for (const Message& message : server.outbox) server.recording->output(number, message, time);
     server.recording->end_tick(number, hash(*server.world), time);
   }

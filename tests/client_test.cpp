@@ -7,6 +7,7 @@
 #include <fstream>
 #include <memory>
 #include <random>
+#include <thread>
 
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
@@ -281,46 +282,78 @@ TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
 }
 
-// A server of the test's own, over the real network: it can keep back what a line would lose.
-TEST(Client, AsksForWhatHealthSaysThatItLost) {
-  Net* net = nullptr;
-  ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &net), TRANSPORT_OK) << transport_error();
-  const std::unique_ptr<Net, decltype(&net_close)> server(net, net_close);
-  ASSERT_EQ(net_queryable(net, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
-  ASSERT_EQ(net_announce(net, "crumple/1/main/server"), TRANSPORT_OK);
-  ASSERT_EQ(net_announce(net, "crumple/1/main/car/a"), TRANSPORT_OK);
-  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(net), "main", nullptr};
-  Crumple* handle = nullptr;
-  ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
-  const std::unique_ptr<Crumple, decltype(&crumple_close)> session(handle, crumple_close);
-  ASSERT_EQ(crumple_follow(handle, "a"), CRUMPLE_OK);
-
+// A server of the test's own, over the real network, and a viewer of its car "a": it can keep back what a line would lose.
+struct OwnServer {
+  std::unique_ptr<Net, decltype(&net_close)> net{nullptr, net_close};
+  std::unique_ptr<Crumple, decltype(&crumple_close)> viewer{nullptr, crumple_close};
   uint64_t tick = 5, questions = 0;
-  const Quanta quanta(3 * nodes, 1);
-  const auto holds = [&](uint64_t wanted, bool healths) {
+  const Quanta quanta = Quanta(3 * nodes, 1);
+
+  void start() {
+    Net* opened = nullptr;
+    ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), TRANSPORT_OK) << transport_error();
+    net.reset(opened);
+    ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
+    ASSERT_EQ(net_announce(opened, "crumple/1/main/server"), TRANSPORT_OK);
+    ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);
+    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(opened), "main", nullptr};
+    Crumple* handle = nullptr;
+    ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
+    viewer.reset(handle);
+    ASSERT_EQ(crumple_follow(handle, "a"), CRUMPLE_OK);
+  }
+  void put(const char* key, const Bytes& bytes) { net_put(net.get(), key, bytes.data(), bytes.size(), NET_DATA); }
+  void put_health() {
     HealthReport report;
     report.told.push_back({"a", tick});
-    const Bytes health = encode_health(report);
+    put("crumple/1/main/health", encode_health(report));
+  }
+  void answer() {
+    NetEvent events[16];
+    const int count = net_poll(net.get(), events, 16, 5'000);
+    for (int e = 0; e < count; ++e) {
+      if (events[e].kind != NET_QUERY) continue;
+      const Bytes bytes = keyframe(tick, quanta).front();
+      net_reply(net.get(), events[e].ticket, bytes.data(), bytes.size(), 0);
+      ++questions;
+    }
+  }
+  // The tick that the viewer holds; 0: none.
+  uint64_t held() {
+    crumple_poll(viewer.get(), 5'000);
     CrumpleSurface surface{};
+    return crumple_surface(viewer.get(), "a", &surface) == CRUMPLE_OK ? surface.tick : 0;
+  }
+  bool comes_to_hold(uint64_t wanted, bool healths) {
     for (int k = 0; k < 500; ++k) {
-      if (healths && k % 20 == 0) net_put(net, "crumple/1/main/health", health.data(), health.size(), NET_DATA);
-      NetEvent events[16];
-      const int count = net_poll(net, events, 16, 5'000);
-      for (int e = 0; e < count; ++e) {
-        if (events[e].kind != NET_QUERY) continue;
-        const Bytes answer = keyframe(tick, quanta).front();
-        net_reply(net, events[e].ticket, answer.data(), answer.size(), 0);
-        ++questions;
-      }
-      crumple_poll(handle, 5'000);
-      if (crumple_surface(handle, "a", &surface) == CRUMPLE_OK && surface.tick == wanted) return true;
+      if (healths && k % 20 == 0) put_health();
+      answer();
+      if (held() == wanted) return true;
     }
     return false;
-  };
-  ASSERT_TRUE(holds(5, false)) << "the first keyframe";
-  const uint64_t asked = questions;
-  tick = 9;  // and nobody was sent it
-  EXPECT_TRUE(holds(9, true)) << "asked " << questions - asked << " times more";
+  }
+};
+
+TEST(Client, AsksForWhatHealthSaysThatItLost) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
+  const uint64_t asked = server.questions;
+  server.tick = 9;  // and nobody was sent it
+  EXPECT_TRUE(server.comes_to_hold(9, true)) << "asked " << server.questions - asked << " times more";
+}
+
+TEST(Client, ShowsNothingOldAsCurrentAfterAPause) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
+  // While the viewer sleeps the car crashes. It wakes up to the oldest message; the newest is not yet answered.
+  server.tick = 6;
+  server.put("crumple/1/main/car/a/key", keyframe(6, server.quanta).front());
+  std::this_thread::sleep_for(std::chrono::milliseconds(700));
+  server.tick = 60;
+  for (int k = 0; k < 20; ++k) ASSERT_EQ(server.held(), 0u);
+  EXPECT_TRUE(server.comes_to_hold(60, false));
 }
 
 std::string scene_trouble(const std::string& text) {

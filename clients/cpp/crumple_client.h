@@ -163,7 +163,8 @@ typedef struct CrumpleSurface {
   int dirty;              // changed since the last crumple_copy of this car
   int alive;              // 0: despawned, or its server is gone
 } CrumpleSurface;
-// CRUMPLE_PENDING: followed, but nothing whole has arrived yet.
+// CRUMPLE_PENDING: followed, but nothing whole has arrived yet; or the session was not polled for half a second, and what is
+// current has not arrived since: keep what was drawn.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
 // Displacements of the vertices from rest in metres: out[0..2] of each, `stride` bytes apart (12: packed), at most `capacity`
 // of them. Needs the asset (crumple_mesh), and asks for it: CRUMPLE_PENDING until it has arrived.

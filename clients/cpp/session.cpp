@@ -9,6 +9,7 @@
 #include <array>
 #include <cstdio>
 #include <cstring>
+#include <utility>
 
 #include "schema/car_generated.h"
 #include "schema/message_generated.h"
@@ -271,7 +272,9 @@ void take_reply(Crumple& session, uint64_t ticket, std::span<const uint8_t> byte
     if (!command->second.arrived) take_answer(session, command->second, bytes, failed);
   } else if (const auto key = session.key_tickets.find(ticket); key != session.key_tickets.end()) {
     const auto car = session.cars.find(key->second);
-    if (car != session.cars.end() && !failed) take_surface(session, key->second, car->second, true, true, bytes);
+    if (car == session.cars.end() || failed) return;
+    take_surface(session, key->second, car->second, true, true, bytes);
+    car->second.doubtful = false;
   } else if (const auto part = session.asset_tickets.find(ticket); part != session.asset_tickets.end()) {
     const std::string hash = part->second;
     session.asset_tickets.erase(part);
@@ -327,8 +330,23 @@ void take(Crumple& session, const NetEvent& event) {
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
   for (auto& [id, car] : session.cars)
-    if (car.unsure && now - car.last > silence) ask_for_keyframe(session, id, car);
+    if (car.doubtful || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
 }
+
+// Whoever was frozen finds seconds of old messages waiting. The answer to a question asked now comes after all of them.
+void doubt_after_a_pause(Crumple& session) {
+  const auto now = Clock::now();
+  if (now - std::exchange(session.polled, now) < unpolled) return;
+  for (auto& [id, car] : session.cars) {
+    if (!car.alive || car.surface.quanta.empty()) continue;
+    session.key_tickets.erase(car.asking);  // asked before the pause
+    car.asking = 0;
+    car.doubtful = true;
+  }
+  ask_the_silent(session);
+}
+
+bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
 // Subscriptions and the wait for the server; throws nothing, leaves the error behind.
 int begin(Crumple& session, const char* connect) {
@@ -404,6 +422,7 @@ void crumple_close(Crumple* session) {
 }
 
 int crumple_poll(Crumple* session, uint64_t timeout_us) {
+  doubt_after_a_pause(*session);
   NetEvent events[64];
   int total = 0, got = 0;
   do {
@@ -413,6 +432,7 @@ int crumple_poll(Crumple* session, uint64_t timeout_us) {
     total += got;
     timeout_us = 0;
   } while (got == 64);
+  session->polled = Clock::now();  // waiting is no pause
   ask_the_silent(*session);
   return total;
 }
@@ -443,7 +463,7 @@ int crumple_surface(Crumple* session, const char* id, CrumpleSurface* out) {
   const auto at = session->cars.find(id);
   if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
   const FollowedCar& car = at->second;
-  if (car.surface.quanta.empty()) return CRUMPLE_PENDING;
+  if (!held(car)) return CRUMPLE_PENDING;
   *out = {car.surface.tick,
           car.surface.hash,
           static_cast<uint32_t>(car.surface.quanta.size() / 3),
@@ -460,7 +480,7 @@ int crumple_copy(Crumple* session, const char* id, float* out, size_t stride, si
   if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
   if (stride < 12 || stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
   const Surface& surface = at->second.surface;
-  if (surface.quanta.empty()) return CRUMPLE_PENDING;
+  if (!held(at->second)) return CRUMPLE_PENDING;
   CrumpleMesh mesh;
   if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
   const Asset& asset = session->assets.at(surface.asset);

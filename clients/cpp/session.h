@@ -20,6 +20,8 @@ using Clock = std::chrono::steady_clock;
 // Longest wait for the message after the last one: a car that falls silent is asked for its keyframe once, since the last
 // delta or keyframe may have been lost and an idle car sends nothing.
 inline constexpr std::chrono::milliseconds silence{500};
+// A session that polls less often than this may hold what was true long ago, with more of the same still on its way.
+inline constexpr std::chrono::milliseconds unpolled{500};
 // What health says of a car that spoke so lately may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
 inline constexpr size_t reactions_kept = 4096;
@@ -34,6 +36,7 @@ struct FollowedCar {
   bool alive = false;
   bool dirty = false;
   bool unsure = false;       // a message came since the last keyframe that was asked for
+  bool doubtful = false;     // the session was not polled for long: what is held counts only after an answer to `asking`
   bool fresh = true;         // the car (or its server) is a new one: the next keyframe counts whatever its tick
   uint64_t asking = 0;       // ticket of the query for the keyframe; 0: none
   Clock::time_point last{};  // of its last message
@@ -76,6 +79,7 @@ struct Crumple {
   std::string host;
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
+  crumple::client::Clock::time_point polled = crumple::client::Clock::now();
   bool follows_all = false;
   uint64_t sequence = 0;
   std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;

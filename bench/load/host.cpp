@@ -1,0 +1,198 @@
+// A host of the load: crashing cars start 10 m before a wall of their own, all at the same time, and again after each period;
+// the others drive along free lanes, or stand where they were spawned.
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <stdexcept>
+#include <thread>
+
+#include "cpp/crumple_client.h"
+#include "load.h"
+
+namespace crumple::load {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr double rate = 60;    // poses a second
+constexpr double lane = 8;     // m between cars
+constexpr double run_up = 10;  // m from the start to the wall
+constexpr double repair_at = 0.1,
+                 go_at = 0.25;          // s of a period: first the car is at its start, then it is mended, then it goes
+constexpr double braking = 7;           // m/s^2
+constexpr double turn_back = 500;       // m that a driving car goes before it starts anew
+constexpr size_t orders_at_once = 100;  // their answers are kept for the last 256
+
+struct Session {
+  Crumple* handle = nullptr;
+  ~Session() { crumple_close(handle); }
+};
+
+int need(int status) {
+  if (status < 0) throw std::runtime_error(crumple_error());
+  return status;
+}
+
+struct Moving {
+  std::string id;
+  uint32_t number = 0;
+  CrumplePose pose{{0, 0, 0}, {0, 0, 0, 1}};
+  float velocity[3] = {}, turn[3] = {};
+  uint64_t seen = 0;
+  bool hit = false, crashes = false;
+};
+
+struct Host {
+  const HostTask& task;
+  Session session;
+  std::vector<Moving> cars;  // those that move
+  std::map<std::string, size_t> at;
+  uint64_t tick = 0;  // the newest known
+};
+
+// Crashing cars on one side of the origin, driving ones on the other, sleeping ones behind.
+CrumplePose start_of(char kind, uint32_t number) {
+  const double y = lane * number;
+  return {{kind == 'a' ? -100.0 : 0.0, kind == 'd' ? -lane - y : y, 0}, {0, 0, 0, 1}};
+}
+
+void settle(Host& host, std::vector<uint64_t>& tickets) {
+  for (uint64_t ticket : tickets) {
+    CrumpleAnswer answer;
+    need(crumple_wait(host.session.handle, ticket, &answer));
+    if (!answer.ok) throw std::runtime_error(std::string("load: the server refused a car: ") + answer.sentence);
+    host.tick = std::max(host.tick, answer.tick);
+  }
+  tickets.clear();
+}
+
+void spawn(Host& host) {
+  std::vector<uint64_t> tickets;
+  const auto add = [&](char kind, const std::vector<uint32_t>& numbers) {
+    for (uint32_t number : numbers) {
+      CrumpleSpawn spawn{};
+      spawn.pose = start_of(kind, number);
+      spawn.planar = 1;
+      const std::string id = car_id(kind, number);
+      need(crumple_spawn(host.session.handle, id.c_str(), host.task.asset.c_str(), &spawn, &tickets.emplace_back()));
+      if (tickets.size() == orders_at_once) settle(host, tickets);
+      if (kind == 'a') continue;
+      host.at[id] = host.cars.size();
+      Moving& car = host.cars.emplace_back();
+      car.id = id;
+      car.number = number;
+      car.pose = spawn.pose;
+      car.crashes = kind == 'c';
+    }
+  };
+  add('c', host.task.crashing);
+  add('d', host.task.driving);
+  add('a', host.task.asleep);
+  settle(host, tickets);
+  for (Moving& car : host.cars) car.seen = host.tick;
+}
+
+void publish_walls(Host& host) {
+  std::vector<CrumpleObstacle> walls;
+  for (const Moving& car : host.cars) {
+    if (!car.crashes) continue;
+    CrumpleObstacle wall{};
+    wall.id = car.number;
+    wall.shape = CRUMPLE_BOX;
+    wall.size[0] = 0.5f, wall.size[1] = 3, wall.size[2] = 3;
+    wall.pose = {{run_up + 0.5, lane * car.number, 0}, {0, 0, 0, 1}};
+    wall.friction = 0.3f;
+    walls.push_back(wall);
+  }
+  need(crumple_publish_obstacles(host.session.handle, walls.data(), walls.size()));
+}
+
+void take_reactions(Host& host) {
+  CrumpleReaction reaction;
+  while (crumple_take_reactions(host.session.handle, &reaction, 1) == 1) {
+    host.tick = std::max(host.tick, reaction.tick);
+    const auto found = host.at.find(reaction.car);
+    if (found == host.at.end()) continue;
+    Moving& car = host.cars[found->second];
+    if (reaction.tick <= car.seen) continue;
+    car.seen = reaction.tick;
+    const float* j = reaction.impulse;
+    if (reaction.contacts == 0 && j[0] == 0 && j[1] == 0 && j[2] == 0) continue;
+    car.hit = true;
+    car.pose = reaction.pose;
+    std::copy_n(reaction.velocity, 3, car.velocity);
+    std::copy_n(reaction.angular_velocity, 3, car.turn);
+  }
+}
+
+// One host tick of one car. time: s since the last start.
+void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& car) {
+  const double step = 1 / rate;
+  if (!car.crashes) {
+    car.velocity[0] = 20;
+    car.pose.position[0] = std::fmod(car.pose.position[0] + 20 * step, turn_back);
+    return;
+  }
+  if (first) {
+    car.pose = start_of('c', car.number);
+    std::fill_n(car.velocity, 3, 0.0f);
+    std::fill_n(car.turn, 3, 0.0f);
+    car.seen = std::max(car.seen, tick);
+    car.hit = false;
+  }
+  if (time < go_at) return;
+  if (!car.hit) {
+    car.velocity[0] = float(task.speed);
+  } else {
+    const double speed = std::hypot(double(car.velocity[0]), double(car.velocity[1]));
+    const double left = speed > 0 ? std::max(0.0, speed - braking * step) / speed : 0;
+    for (float& v : car.velocity) v *= float(left);
+    for (float& w : car.turn) w *= 0.8f;
+  }
+  for (int axis = 0; axis < 3; ++axis) car.pose.position[axis] += step * double(car.velocity[axis]);
+}
+
+}  // namespace
+
+std::string car_id(char kind, uint32_t number) { return kind + std::to_string(number); }
+
+void play_host(const HostTask& task, std::atomic<uint32_t>& ready, const std::atomic<bool>& go, const std::atomic<bool>& stop) {
+  Host host{task, {}, {}, {}};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, task.id.c_str()};
+  need(crumple_open(&open, &host.session.handle));
+  spawn(host);
+  publish_walls(host);
+  ++ready;
+  while (!go && !stop) need(crumple_poll(host.session.handle, 10'000));
+
+  const auto period = int64_t(std::lround(task.period * rate));
+  const auto begun = Clock::now();
+  std::vector<CrumpleCarPose> poses(host.cars.size());
+  for (int64_t i = 0; !stop; ++i) {
+    const auto due = begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(double(i) / rate));
+    for (auto now = Clock::now(); now < due; now = Clock::now()) {
+      const auto left = std::chrono::duration_cast<std::chrono::microseconds>(due - now).count();
+      need(crumple_poll(host.session.handle, uint64_t(std::max<int64_t>(1, left))));
+    }
+    take_reactions(host);
+    const double time = double(i % period) / rate;
+    for (size_t k = 0; k < host.cars.size(); ++k) {
+      Moving& car = host.cars[k];
+      move(task, time, i % period == 0, host.tick, car);
+      poses[k] = {car.id.c_str(), car.pose, {}, {}, car.seen, car.crashes ? float(task.importance) : 1};
+      std::copy_n(car.velocity, 3, poses[k].velocity);
+      std::copy_n(car.turn, 3, poses[k].angular_velocity);
+    }
+    if (!poses.empty()) need(crumple_publish_poses(host.session.handle, double(i) / rate, poses.data(), poses.size()));
+    if (i >= period && i % period == std::lround(repair_at * rate)) {
+      for (const Moving& car : host.cars) {
+        uint64_t ticket;
+        if (car.crashes) need(crumple_repair(host.session.handle, car.id.c_str(), 1, &ticket));
+      }
+    }
+    if (i % int64_t(rate) == 0) publish_walls(host);
+  }
+}
+
+}  // namespace crumple::load

@@ -1,0 +1,370 @@
+// crumple_load: one run of the load harness. bench/load/run plays the scenarios that stand beside it and makes the page.
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <csignal>
+#include <filesystem>
+#include <fstream>
+#include <sstream>
+#include <thread>
+
+#include "asset/car.h"
+#include "cpp/crumple_client.h"
+#include "load.h"
+
+namespace crumple::load {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr double calm = 3;        // s from the last pose until all is compared: a crash rings for one
+constexpr double frozen = 3;      // s
+constexpr double patience = 120;  // s for the server to start and take all cars
+
+std::atomic<bool> interrupted{false};
+
+struct Process {
+  pid_t id = 0;
+  bool stopped = false;
+  ~Process() {
+    if (id > 0) kill(id, SIGKILL), waitpid(id, nullptr, 0);
+  }
+  Process() = default;
+  Process(Process&& other) noexcept : id(std::exchange(other.id, 0)), stopped(other.stopped) {}
+  Process& operator=(Process&&) = delete;
+
+  void start(const std::vector<std::string>& words, const std::string& log) {
+    std::vector<char*> arguments;
+    for (const std::string& word : words) arguments.push_back(const_cast<char*>(word.c_str()));
+    arguments.push_back(nullptr);
+    id = fork();
+    if (id != 0) return;
+    if (!std::freopen(log.c_str(), "w", stdout) || dup2(fileno(stdout), fileno(stderr)) < 0) _exit(127);
+    execv(arguments[0], arguments.data());
+    _exit(127);
+  }
+  // Asks it to end and gives its exit code; negative if it was killed.
+  int end(int signal) {
+    int status = 0;
+    if (id <= 0) return 0;
+    kill(id, signal);
+    waitpid(std::exchange(id, 0), &status, 0);
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+  }
+  bool alive() {
+    if (id > 0 && waitpid(id, nullptr, WNOHANG) == id) id = 0;
+    return id > 0;
+  }
+};
+
+std::string text_of(const std::string& file) {
+  std::ifstream in(file);
+  std::ostringstream text;
+  text << in.rdbuf();
+  return text.str();
+}
+
+// utime + stime of a process or thread, s: fields 14 and 15 after the name, which may hold spaces.
+double cpu_of(const std::string& folder) {
+  const std::string text = text_of(folder + "/stat");
+  std::istringstream rest(text.substr(std::min(text.size(), text.rfind(')') + 1)));
+  std::string skip;
+  for (int field = 3; field < 14; ++field) rest >> skip;
+  double user = 0, system = 0;
+  rest >> user >> system;
+  return (user + system) / double(sysconf(_SC_CLK_TCK));
+}
+
+Sample sample(pid_t server) {
+  const std::filesystem::path folder = "/proc/" + std::to_string(server);
+  Sample out;
+  out.ns = wall_ns();
+  out.cpu = cpu_of(folder);
+  std::error_code gone;
+  for (const auto& thread : std::filesystem::directory_iterator(folder / "task", gone))
+    if (text_of(thread.path() / "comm") == "recorder\n") out.recorder_cpu = cpu_of(thread.path());
+  std::istringstream pages(text_of(folder / "statm"));
+  uint64_t all = 0;
+  pages >> all >> out.memory;
+  out.memory *= uint64_t(sysconf(_SC_PAGESIZE));
+  for ([[maybe_unused]] const auto& one : std::filesystem::directory_iterator(folder / "fd", gone)) ++out.descriptors;
+  return out;
+}
+
+void sleep_until(Clock::time_point when) {
+  while (!interrupted && Clock::now() < when)
+    std::this_thread::sleep_for(std::min<Clock::duration>(when - Clock::now(), std::chrono::milliseconds(50)));
+}
+
+std::string start_server(const Options& options, const std::string& recording, Process& server) {
+  std::vector<std::string> words = {options.program,   "serve",    "--scene", scene,  "--listen",
+                                    "tcp/127.0.0.1:0", "--record", recording, "--car"};
+  words.insert(words.end(), options.cars.begin(), options.cars.end());
+  std::istringstream further(options.serve);
+  for (std::string word; further >> word;) words.push_back(word);
+  const std::string log = options.folder + "/server.log";
+  server.start(words, log);
+  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience));
+  while (Clock::now() < until && !interrupted) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    const std::string text = text_of(log);
+    const size_t at = text.find("tcp/");
+    if (at != std::string::npos && text.find(',', at) != std::string::npos) return text.substr(at, text.find(',', at) - at);
+    if (!server.alive()) throw std::runtime_error("load: the server did not start: " + text);
+  }
+  throw std::runtime_error("load: the server did not say where it listens; see " + log);
+}
+
+// All that a run needs at hand; hosts are stopped and joined whatever happens.
+struct Stage {
+  const Options& options;
+  Process server;
+  std::string endpoint;
+  std::vector<Process> viewers;
+  std::atomic<uint32_t> ready{0};
+  std::atomic<bool> go{false}, stop{false};
+  std::vector<std::thread> hosts;
+  std::vector<std::string> troubles;
+  Run run;
+
+  explicit Stage(const Options& o) : options(o) {}
+  ~Stage() { end_hosts(); }
+  void end_hosts() {
+    stop = true;
+    for (std::thread& host : hosts)
+      if (host.joinable()) host.join();
+  }
+};
+
+void start_hosts(Stage& stage, const std::string& asset) {
+  const Options& options = stage.options;
+  std::vector<HostTask> tasks(options.hosts);
+  const auto share = [&](uint32_t count, std::vector<uint32_t> HostTask::*list) {
+    for (uint32_t k = 0; k < count; ++k) (tasks[k % options.hosts].*list).push_back(k);
+  };
+  share(options.crashing, &HostTask::crashing);
+  share(options.driving, &HostTask::driving);
+  share(options.asleep, &HostTask::asleep);
+  stage.troubles.resize(options.hosts);
+  for (uint32_t k = 0; k < options.hosts; ++k) {
+    tasks[k].endpoint = stage.endpoint;
+    tasks[k].id = "host" + std::to_string(k);
+    tasks[k].asset = asset;
+    tasks[k].speed = options.speed_kmh / 3.6;
+    tasks[k].period = options.period;
+    tasks[k].importance = options.importance;
+    stage.hosts.emplace_back([&stage, k, task = tasks[k]] {
+      try {
+        play_host(task, stage.ready, stage.go, stage.stop);
+      } catch (const std::exception& error) {
+        stage.troubles[k] = error.what();
+        stage.stop = true;
+      }
+    });
+  }
+}
+
+void check(const Stage& stage) {
+  for (const std::string& trouble : stage.troubles)
+    if (stage.stop && !trouble.empty()) throw std::runtime_error(trouble);
+}
+
+void start_viewer(Stage& stage, const std::string& part, uint32_t number) {
+  const Options& options = stage.options;
+  ViewerRun viewer;
+  viewer.part = part;
+  viewer.file = options.folder + "/viewer" + std::to_string(stage.viewers.size()) + ".csv";
+  std::vector<std::string> words = {"/proc/self/exe", "--view", viewer.file, "--connect", stage.endpoint, "--follow"};
+  for (uint32_t k = 0; k < std::min(options.follow, options.crashing); ++k)
+    viewer.cars.push_back(car_id('c', (number * options.follow + k) % options.crashing));
+  words.insert(words.end(), viewer.cars.begin(), viewer.cars.end());
+  stage.viewers.emplace_back().start(words, viewer.file + ".log");
+  stage.run.viewers.push_back(viewer);
+}
+
+// Freezes, kills and late joins, at fixed shares of the time.
+void disturb(Stage& stage, double time) {
+  const Options& options = stage.options;
+  const auto passed = [&, last = time - 1](double when) { return last < when && when <= time; };
+  const double freeze_at = std::floor(0.25 * options.seconds), kill_at = std::floor(0.5 * options.seconds),
+               join_at = std::floor(0.6 * options.seconds);
+  for (uint32_t k = 0; k < options.frozen; ++k) {
+    if (passed(freeze_at)) kill(stage.viewers[k].id, SIGSTOP);
+    if (passed(freeze_at + frozen)) {
+      kill(stage.viewers[k].id, SIGCONT);
+      stage.run.viewers[k].thawed_ns = wall_ns();
+    }
+  }
+  if (passed(kill_at)) {
+    for (uint32_t k = options.frozen; k < options.frozen + options.killed; ++k) {
+      stage.viewers[k].end(SIGKILL);
+      start_viewer(stage, "late", k);
+    }
+  }
+  if (passed(join_at))
+    for (uint32_t k = 0; k < options.late; ++k) start_viewer(stage, "late", options.viewers + k);
+}
+
+struct Session {
+  Crumple* handle = nullptr;
+  ~Session() { crumple_close(handle); }
+};
+
+// What a viewer gets that comes when all is calm.
+void ask_for_truth(Stage& stage) {
+  Session session;
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr};
+  if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
+  std::vector<std::string> cars;
+  for (uint32_t k = 0; k < stage.options.crashing; ++k) {
+    cars.push_back(car_id('c', k));
+    crumple_follow(session.handle, cars.back().c_str());
+  }
+  const auto until = Clock::now() + std::chrono::seconds(20);
+  for (const std::string& car : cars) {
+    CrumpleSurface surface;
+    int status;
+    while ((status = crumple_surface(session.handle, car.c_str(), &surface)) == CRUMPLE_PENDING && Clock::now() < until)
+      if (crumple_poll(session.handle, 10'000) < 0) throw std::runtime_error(crumple_error());
+    if (status != CRUMPLE_OK) throw std::runtime_error("load: no surface of car " + car + " came within 20 s");
+    char digits[17];
+    std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(surface.hash));
+    stage.run.truth.emplace_back(car, digits);
+  }
+}
+
+void watch_over(Stage& stage) {
+  const Options& options = stage.options;
+  Session session;
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr};
+  if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
+  const auto begun = Clock::now();
+  stage.run.begin_ns = wall_ns();
+  stage.run.samples.push_back(sample(stage.server.id));
+  stage.go = true;
+  for (double time = 1; time <= options.seconds && !interrupted && !stage.stop; ++time) {
+    sleep_until(begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(time)));
+    if (!stage.server.alive()) throw std::runtime_error("load: the server ended: " + text_of(options.folder + "/server.log"));
+    stage.run.samples.push_back(sample(stage.server.id));
+    disturb(stage, time);
+    crumple_poll(session.handle, 0);
+    CrumpleHealth health{};
+    crumple_health(session.handle, &health);
+    const auto& samples = stage.run.samples;
+    const double cpu = samples.back().cpu - samples[samples.size() - 2].cpu;
+    const bool terminal = isatty(STDOUT_FILENO);
+    if (terminal || int(time) % 10 == 0) {
+      std::printf("%s%3.0f s of %.0f  tick %llu: %.1f ms, worst %.1f  late %llu  server %.0f %% of a core, %.0f MB%s",
+                  terminal ? "\r" : "", time, options.seconds, static_cast<unsigned long long>(health.tick),
+                  double(health.tick_ms), double(health.worst_ms), static_cast<unsigned long long>(health.late), 100 * cpu,
+                  1e-6 * double(samples.back().memory), terminal ? " \x1b[K" : "\n");
+      std::fflush(stdout);
+    }
+  }
+  stage.run.end_ns = wall_ns();
+  if (isatty(STDOUT_FILENO)) std::printf("\n");
+}
+
+int play(const Options& options) {
+  std::filesystem::create_directories(options.folder);
+  const auto car = load_car(options.cars.front());
+  Stage stage(options);
+  stage.run.recording = options.folder + "/load.mcap";
+  stage.endpoint = start_server(options, stage.run.recording, stage.server);
+  std::printf(
+      "%u cars of %zu nodes: %u crash at once every %g s at %g km/h, %u drive, %u sleep; %u hosts, %u viewers of %u cars\n",
+      options.asleep + options.driving + options.crashing, car->model.node.size(), options.crashing, options.period,
+      options.speed_kmh, options.driving, options.asleep, options.hosts, options.viewers,
+      std::min(options.follow, options.crashing));
+  std::fflush(stdout);
+  start_hosts(stage, car->hash);
+  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience));
+  while (stage.ready < options.hosts && Clock::now() < until && !interrupted && !stage.stop)
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  check(stage);
+  if (stage.ready < options.hosts) throw std::runtime_error("load: the cars were not spawned within 120 s");
+  for (uint32_t k = 0; k < options.viewers; ++k) start_viewer(stage, k < options.frozen ? "frozen" : "steady", k);
+  sleep_until(Clock::now() + std::chrono::seconds(2));
+  watch_over(stage);
+  stage.end_hosts();
+  check(stage);
+  sleep_until(Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(calm)));
+  ask_for_truth(stage);
+  for (size_t k = 0; k < stage.viewers.size(); ++k)
+    if (stage.viewers[k].id > 0 && stage.viewers[k].end(SIGTERM) != 0)
+      throw std::runtime_error("load: a viewer failed: " + text_of(stage.run.viewers[k].file + ".log"));
+  if (stage.server.end(SIGTERM) != 0)
+    std::fprintf(stderr, "load: the server did not end well: %s\n", text_of(options.folder + "/server.log").c_str());
+  return report(options, stage.run);
+}
+
+int run(int argc, char** argv) {
+  Options options;
+  ViewerTask viewer;
+  CLI::App app{"Plays hosts and viewers against a server of its own, over real zenoh, and reports how it held", "crumple_load"};
+  app.set_config("--scenario", "", "a file with any of these options, as in bench/load/ten.toml; flags come before it");
+  app.add_option("--program", options.program, "the crumple to start")->default_val(CRUMPLE_PROGRAM)->configurable(false);
+  app.add_option("--car", options.cars, "baked cars: the first is spawned, further ones are its levels")
+      ->check(CLI::ExistingFile)
+      ->configurable(false);
+  app.add_option("--out", options.folder, "folder for the recording, what viewers saw, and load.json")
+      ->configurable(false)
+      ->capture_default_str();
+  app.add_option("--serve", options.serve, "further options of crumple serve, in one word: \"--budget 0\"");
+  app.add_option("--seconds", options.seconds, "of load")->check(CLI::Range(5.0, 86'400.0))->capture_default_str();
+  app.add_option("--hosts", options.hosts, "that share the cars")->check(CLI::Range(1u, 64u))->capture_default_str();
+  app.add_option("--asleep", options.asleep, "cars that stand where they were spawned")->capture_default_str();
+  app.add_option("--driving", options.driving, "cars that drive and meet nothing")->capture_default_str();
+  app.add_option("--crashing", options.crashing, "cars that hit a wall, all at the same time")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--speed", options.speed_kmh, "of the crashes, km/h")->check(CLI::Range(1.0, 300.0))->capture_default_str();
+  app.add_option("--period", options.period, "seconds from crash to crash")
+      ->check(CLI::Range(2.5, 60.0))
+      ->capture_default_str();
+  app.add_option("--importance", options.importance, "of crashing cars: chooses their level")
+      ->check(CLI::Range(0.001, 1.0))
+      ->capture_default_str();
+  app.add_option("--viewers", options.viewers, "processes that follow crashing cars")
+      ->check(CLI::Range(1u, 1'000u))
+      ->capture_default_str();
+  app.add_option("--follow", options.follow, "cars that each viewer follows")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  app.add_option("--frozen", options.frozen, "viewers that are stopped for 3 s at a quarter of the time")
+      ->capture_default_str();
+  app.add_option("--killed", options.killed, "viewers that are killed half-way; others come for them")->capture_default_str();
+  app.add_option("--late", options.late, "further viewers that come late")->capture_default_str();
+  try {
+    app.parse(argc, argv);
+    if (options.cars.empty()) throw CLI::RequiredError("--car");
+    if (options.frozen + options.killed > options.viewers)
+      throw CLI::ValidationError("--frozen and --killed", "name more viewers than there are");
+  } catch (const CLI::Success& asked) {
+    return app.exit(asked);
+  } catch (const CLI::ParseError& error) {
+    std::fprintf(stderr, "crumple_load: %s\nTry: crumple_load --help\n", error.what());
+    return 2;
+  }
+  std::signal(SIGINT, [](int) { interrupted = true; });
+  std::signal(SIGTERM, [](int) { interrupted = true; });
+  return play(options);
+}
+
+}  // namespace
+}  // namespace crumple::load
+
+// A viewer process is this program, called by itself: --view FILE --connect ENDPOINT --follow CAR...
+int main(int argc, char** argv) {
+  using namespace crumple::load;
+  try {
+    if (argc > 6 && std::string_view(argv[1]) == "--view") return view({argv[4], argv[2], {argv + 6, argv + argc}});
+    return run(argc, argv);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "crumple_load: %s\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,122 @@
+"""The page of bench/load/run: what its runs came to, in tables and pictures.
+
+    page.py FOLDER     reads FOLDER/*/load.json, writes FOLDER/page.md, load.png and knee.png
+"""
+
+import json
+import pathlib
+import sys
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+
+KNEES = {
+    "all": ("4,642 nodes, all sweeps", "#D55E00"),
+    "budget": ("4,642 nodes, within the budget", "#0072B2"),
+    "coarse": ("1,137 nodes, within the budget", "#009E73"),
+}
+PERIOD = 1e3 / 60  # ms
+
+
+def rows(run):
+    """What the table says of one run: label, text."""
+    yield "cars: crash at once, drive, sleep", f"{run['crashing']:.0f}, {run['driving']:.0f}, {run['asleep']:.0f}"
+    yield "server's options", f"`{run['serve']}`" if run["serve"] else "none"
+    yield "ticks, late", f"{run['ticks']:.0f}, {run['late']:.0f}"
+    yield "longest tick", f"{run['worst_tick_ms']:.1f} ms"
+    yield "from tick to tick p50, p99, p99.9", f"{run['interval_ms_p50']:.1f}, {run['interval_ms_p99']:.1f}, {run['interval_ms_p99.9']:.1f} ms"
+    yield "surface at the viewer after its tick p50, p99, p99.9", f"{run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f}, {run['latency_ms_p99.9']:.2f} ms"
+    yield "surfaces, never came", f"{run['surfaces']:.0f}, {run['surfaces_missing']:.0f}"
+    yield f"viewer of {run['follow']:.0f} cars: mean, busiest second", f"{run['viewer_mbits_mean']:.2f}, {run['viewer_mbits_worst']:.2f} Mb/s"
+    yield "bits per vertex and frame", f"{run['bits_per_vertex_frame']:.1f}"
+    yield "first surfaces after, of late viewers", f"{run['open_ms_worst']:.0f}, {run['late_join_ms_worst']:.0f} ms"
+    if run["thawed_current_after_ms"] > 0:
+        shown = f"{run['thawed_stale_ms_worst']:.0f} ms"
+        yield "frozen for 3 s: current after; oldest shown was superseded", f"{run['thawed_current_after_ms']:.0f} ms; {shown} before"
+    yield "surfaces that differ at the end", f"{run['diverged']:.0f} of {run['compared']:.0f}"
+    yield "server, its recorder", f"{run['cpu_cores']:.2f}, {run['recorder_cores']:.3f} cores"
+    yield "memory, descriptors", f"{run['memory_mb']:.0f} MB, {run['descriptors_most']:.0f}"
+    yield "worst residual of a sub-step", f"{run['residual_worst_mm']:.2f} mm"
+    yield "lost by the recording, dropped by the network", f"{run['recording_lost']:.0f}, {run['sent_dropped'] + run['received_dropped']:.0f}"
+
+
+def draw_runs(runs, path):
+    figure, axes = plt.subplots(len(runs), 3, figsize=(12, 3.2 * len(runs)), squeeze=False, layout="constrained")
+    for (name, run), (rooms, delay, memory) in zip(runs.items(), axes):
+        time = [row[0] for row in run["rooms"]]
+        rooms.plot(time, [row[8] for row in run["rooms"]], color="#D55E00", label="longest tick of the second")
+        rooms.plot(time, [row[7] for row in run["rooms"]], color="#0072B2", label="mean tick")
+        rooms.axhline(PERIOD, color="grey", linestyle=":", label="a tick's time")
+        rooms.set(title=f"{name}: ticks, ms", xlabel="s", yscale="log")
+        rooms.legend(fontsize=7, loc="upper right")
+        rooms.set_ylim(top=20 * max(row[8] for row in run["rooms"]))
+        share = [100 * row[0] for row in run["quantiles"]]
+        delay.plot([row[2] for row in run["quantiles"]], share, color="#009E73")
+        delay.set(title=f"{name}: surface at the viewer after its tick", xlabel="ms", ylabel="% within", xscale="log")
+        delay.set_xlim(left=0.1)
+        memory.plot([row[0] for row in run["samples"]], [row[2] for row in run["samples"]], color="#CC79A7")
+        memory.set(title=f"{name}: memory of the server, MB", xlabel="s")
+        memory.set_ylim(0, 1.2 * max(row[2] for row in run["samples"]))
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def draw_knees(knees, path):
+    figure, (late, longest, delay) = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+    for kind, (label, colour) in KNEES.items():
+        runs = sorted(knees.get(kind, []), key=lambda run: run["crashing"])
+        cars = [run["crashing"] for run in runs]
+        late.plot(cars, [100 * run["late"] / max(1, run["ticks"]) for run in runs], "o-", color=colour, label=label)
+        longest.plot(cars, [run["worst_tick_ms"] for run in runs], "o-", color=colour)
+        delay.plot(cars, [run["latency_ms_p99"] for run in runs], "o-", color=colour)
+    longest.axhline(PERIOD, color="grey", linestyle=":")
+    for axis, title in ((late, "late ticks, %"), (longest, "longest tick, ms"), (delay, "surface after its tick, p99, ms")):
+        axis.set(title=title, xlabel="cars that crash at once", xscale="log")
+        axis.set_xticks([1, 2, 4, 8, 16, 32], [1, 2, 4, 8, 16, 32])
+        axis.minorticks_off()
+    for axis in (longest, delay):
+        axis.set_yscale("log")
+    late.legend(fontsize=8)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def main(folder):
+    runs, knees = {}, {}
+    for file in sorted(folder.glob("*/load.json")):
+        run, name = json.loads(file.read_text()), file.parent.name
+        if name.startswith("knee-"):
+            knees.setdefault(name.split("-")[1], []).append(run)
+        elif name in ("ten", "hundred"):
+            runs[name] = run
+    if not runs:
+        sys.exit(f"page.py: {folder} holds no run of bench/load/run: start that")
+    runs = dict(sorted(runs.items(), key=lambda item: item[1]["crashing"]))
+    text = ["# The server under load", ""]
+    text += [f"By `bench/load/run`, on {next(iter(runs.values()))['machine']}; server, hosts and viewers share them. Everything crosses zenoh over", "TCP on loopback; recording is on.", ""]
+    tables = [dict(rows(run)) for run in runs.values()]
+    labels = list(dict.fromkeys(label for table in tables for label in table))
+    text += ["| | " + " | ".join(f"`{name}.toml`" for name in runs) + " |", "|---" * (len(runs) + 1) + "|"]
+    text += [f"| {label} | " + " | ".join(table.get(label, "") for table in tables) + " |" for label in labels]
+    draw_runs(runs, folder / "load.png")
+    text += ["", "![Ticks, delay and memory](load.png)", ""]
+    if knees:
+        draw_knees(knees, folder / "knee.png")
+        text += ["## Where it breaks", "", "More and more cars hit walls at 50 km/h, all in the same tick, every three seconds; four viewers.", "", "![Late ticks, longest tick and delay against cars that crash at once](knee.png)", ""]
+        text += ["| cars at once | late of all ticks | longest tick, ms | surface after its tick p50, p99, ms | worst residual, mm |", "|---|---|---|---|---|"]
+        for kind, (label, _) in KNEES.items():
+            for run in sorted(knees.get(kind, []), key=lambda each: each["crashing"]):
+                text.append(
+                    f"| {run['crashing']:.0f} x {label} | {run['late']:.0f} of {run['ticks']:.0f} | {run['worst_tick_ms']:.1f} "
+                    f"| {run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f} | {run['residual_worst_mm']:.2f} |"
+                )
+    (folder / "page.md").write_text("\n".join(text) + "\n")
+    print(f"written {folder}/page.md")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1] in ("-h", "--help"):
+        sys.exit(__doc__)
+    main(pathlib.Path(sys.argv[1]))

@@ -1,0 +1,344 @@
+// What a run came to. The server's side is read from its recording, whose messages carry the time at which their tick was done;
+// the viewers' side from what they wrote; both by the clock of one machine.
+#include <algorithm>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <sstream>
+#include <stdexcept>
+
+#include "load.h"
+#include "machine.h"
+#include "recording.h"
+#include "schema/message_generated.h"
+
+namespace crumple::load {
+namespace {
+
+constexpr double current = 100;  // ms: a surface that was superseded no longer ago is current
+
+// JSON, one field a line.
+class Json {
+ public:
+  explicit Json(const std::string& path) : path_(path), file_(path) { file_ << "{"; }
+  void text(const std::string& name, const std::string& value) { raw(name, "\"" + value + "\""); }
+  void number(const std::string& name, double value) {
+    char digits[32];
+    std::snprintf(digits, sizeof digits, "%.6g", value);
+    raw(name, digits);
+  }
+  template <class Rows>
+  void rows(const std::string& name, const Rows& rows) {  // lists of numbers
+    std::ostringstream out;
+    out << "[";
+    for (size_t i = 0; i < rows.size(); ++i) {
+      out << (i ? ",[" : "[");
+      for (size_t k = 0; k < rows[i].size(); ++k) out << (k ? "," : "") << rows[i][k];
+      out << "]";
+    }
+    raw(name, out.str() + "]");
+  }
+  void close() {
+    file_ << "\n}\n";
+    if (!file_.flush()) throw std::runtime_error(path_ + ": cannot be written");
+  }
+
+ private:
+  void raw(const std::string& name, const std::string& value) {
+    file_ << (first_ ? "\n" : ",\n") << "\"" << name << "\": " << value;
+    first_ = false;
+  }
+  std::string path_;
+  std::ofstream file_;
+  bool first_ = true;
+};
+
+// Of a sorted list; 0 of an empty one.
+double quantile(const std::vector<double>& sorted, double share) {
+  if (sorted.empty()) return 0;
+  return sorted[std::min(sorted.size() - 1, size_t(share * double(sorted.size())))];
+}
+
+struct Health {
+  uint64_t ns;
+  std::map<std::string, std::pair<double, double>> rooms;  // mean, worst, ms
+  std::map<std::string, uint64_t> counts;
+  uint64_t late, refusals;
+};
+
+struct Served {
+  std::map<uint64_t, uint64_t> tick_ns;               // tick -> when it was done
+  std::map<std::string, std::vector<uint64_t>> told;  // car -> ticks in which its surface was sent
+  uint64_t frames = 0, bytes = 0;                     // of surfaces, during the load
+  std::vector<Health> health;                         // during the load
+  size_t vertices = 0;
+  uint64_t late_before = 0;
+};
+
+Served read_recording(const Run& run) {
+  Served out;
+  RecordingReader reader(run.recording);
+  out.vertices = reader.head().cars.front()->model.vertex.size();
+  RecordingReader::Item item;
+  while (reader.next(item)) {
+    const bool during = item.time_ns >= run.begin_ns && item.time_ns < run.end_ns;
+    if (item.channel == Channel::tick_end) out.tick_ns[item.tick] = item.time_ns;
+    if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
+      const std::string car(item.key.substr(4, item.key.find('/', 4) - 4));
+      auto& ticks = out.told[car];
+      const bool frame = ticks.empty() || ticks.back() != item.tick;
+      if (during && car.front() == 'c') {
+        out.frames += frame;
+        out.bytes += item.bytes.size();
+      }
+      if (frame) ticks.push_back(item.tick);
+    }
+    if (item.channel != Channel::health) continue;
+    const auto* message = flatbuffers::GetRoot<schema::Health>(item.bytes.data());
+    if (!during) {
+      if (out.health.empty()) out.late_before = message->late();
+      continue;
+    }
+    Health& health = out.health.emplace_back();
+    health.ns = item.time_ns;
+    health.late = message->late();
+    for (const auto* room : *message->rooms())
+      health.rooms[room->name()->str()] = {double(room->milliseconds()), double(room->worst())};
+    for (const auto* count : *message->counts()) health.counts[count->name()->str()] = count->value();
+    health.refusals = 0;
+    for (const auto* count : *message->refusals()) health.refusals += count->value();
+  }
+  if (out.health.empty()) throw std::runtime_error(run.recording + ": has no health: the server was too busy to say how it is");
+  return out;
+}
+
+struct Held {
+  uint64_t ns, tick;
+};
+
+struct Seen {
+  double open_ms = -1;
+  std::vector<std::pair<uint64_t, uint64_t>> bytes;
+  std::map<std::string, std::vector<Held>> held;
+  std::map<std::string, std::string> end;
+};
+
+Seen read_viewer(const std::string& path) {
+  Seen out;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);) {
+    std::vector<std::string> fields;
+    std::istringstream rest(line);
+    for (std::string field; std::getline(rest, field, ',');) fields.push_back(field);
+    if (fields[0] == "open") out.open_ms = std::stod(fields.at(2));
+    if (fields[0] == "bytes") out.bytes.emplace_back(std::stoull(fields.at(1)), std::stoull(fields.at(2)));
+    if (fields[0] == "held") out.held[fields.at(2)].push_back({std::stoull(fields.at(1)), std::stoull(fields.at(3))});
+    if (fields[0] == "end") out.end[fields.at(1)] = fields.at(3);
+  }
+  if (out.open_ms == -1 && out.end.empty()) throw std::runtime_error(path + ": the viewer wrote nothing");
+  return out;
+}
+
+// For each surface that a viewer came to show: since when it was superseded, ms; 0: it was the newest.
+std::vector<std::pair<uint64_t, double>> superseded(const Seen& viewer, const Served& served, uint64_t from, uint64_t to) {
+  std::vector<std::pair<uint64_t, double>> out;  // when, how long
+  for (const auto& [car, list] : viewer.held) {
+    const auto told = served.told.find(car);
+    if (told == served.told.end()) continue;
+    for (const Held& held : list) {
+      if (held.ns < from || held.ns >= to) continue;
+      const auto next = std::upper_bound(told->second.begin(), told->second.end(), held.tick);
+      const auto made = next == told->second.end() ? served.tick_ns.end() : served.tick_ns.find(*next);
+      const double age = made == served.tick_ns.end() ? 0 : 1e-6 * (double(held.ns) - double(made->second));
+      out.emplace_back(held.ns, std::max(0.0, age));
+    }
+  }
+  return out;
+}
+
+// From the end of a tick that changed a car until the viewer holds that, or something newer. missing: never.
+void latencies(const Seen& viewer, const ViewerRun& run, const Served& served, uint64_t from, uint64_t to,
+               std::vector<double>& out, uint64_t& missing) {
+  for (const std::string& car : run.cars) {
+    const auto told = served.told.find(car);
+    const auto seen = viewer.held.find(car);
+    if (told == served.told.end()) continue;
+    size_t at = 0;
+    for (uint64_t tick : told->second) {
+      const auto made = served.tick_ns.find(tick);
+      if (made == served.tick_ns.end() || made->second < from || made->second >= to) continue;
+      if (seen != viewer.held.end())
+        while (at < seen->second.size() && seen->second[at].tick < tick) ++at;
+      if (seen == viewer.held.end() || at == seen->second.size()) {
+        ++missing;
+      } else {
+        out.push_back(1e-6 * (double(seen->second[at].ns) - double(made->second)));
+      }
+    }
+  }
+}
+
+// Least squares, bytes a second.
+double slope(const std::vector<Sample>& samples) {
+  double n = 0, x = 0, y = 0, xx = 0, xy = 0;
+  for (size_t i = samples.size() / 4; i < samples.size(); ++i) {  // the first quarter warms up
+    const double t = 1e-9 * double(samples[i].ns - samples.front().ns), m = double(samples[i].memory);
+    n += 1, x += t, y += m, xx += t * t, xy += t * m;
+  }
+  const double spread = n * xx - x * x;
+  return spread > 0 ? (n * xy - x * y) / spread : 0;
+}
+
+struct Viewers {
+  std::vector<double> latency;  // of steady ones, ms, sorted
+  uint64_t missing = 0, diverged = 0, compared = 0;
+  double mean_mbits = 0, worst_mbits = 0;  // of the busiest steady viewer: over the load, in its busiest second
+  double open_ms = 0, late_ms = 0;         // worst
+  double stale_ms = 0, thaw_ms = 0;  // of frozen ones, worst: the age of what was shown, and the time until it was current
+};
+
+Viewers put_together(const Run& run, const Served& served) {
+  Viewers out;
+  std::map<std::string, std::string> truth(run.truth.begin(), run.truth.end());
+  for (const ViewerRun& viewer : run.viewers) {
+    if (!std::ifstream(viewer.file)) continue;  // killed
+    const Seen seen = read_viewer(viewer.file);
+    for (const std::string& car : viewer.cars) {
+      ++out.compared;
+      const auto end = seen.end.find(car);
+      out.diverged += end == seen.end.end() || end->second != truth[car];
+    }
+    if (viewer.part == "late") out.late_ms = std::max(out.late_ms, seen.open_ms < 0 ? 1e9 : seen.open_ms);
+    if (viewer.part == "steady") {
+      latencies(seen, viewer, served, run.begin_ns, run.end_ns, out.latency, out.missing);
+      out.open_ms = std::max(out.open_ms, seen.open_ms);
+      const std::pair<uint64_t, uint64_t>* first = nullptr;
+      for (size_t i = 1; i < seen.bytes.size(); ++i) {
+        const auto& [ns, bytes] = seen.bytes[i];
+        if (ns < run.begin_ns || ns > run.end_ns) continue;
+        if (!first) first = &seen.bytes[i - 1];
+        const auto mbits = [&](const auto& since) { return 8e3 * double(bytes - since.second) / double(ns - since.first); };
+        out.worst_mbits = std::max(out.worst_mbits, mbits(seen.bytes[i - 1]));
+        if (i + 1 == seen.bytes.size() || seen.bytes[i + 1].first > run.end_ns)
+          out.mean_mbits = std::max(out.mean_mbits, mbits(*first));
+      }
+    }
+    if (viewer.thawed_ns > 0) {
+      uint64_t until = UINT64_MAX;
+      for (const auto& [ns, age] : superseded(seen, served, viewer.thawed_ns, run.end_ns)) {
+        out.stale_ms = std::max(out.stale_ms, age);
+        if (age < current) until = std::min(until, ns);
+      }
+      if (until != UINT64_MAX) out.thaw_ms = std::max(out.thaw_ms, 1e-6 * double(until - viewer.thawed_ns));
+    }
+  }
+  std::sort(out.latency.begin(), out.latency.end());
+  return out;
+}
+
+}  // namespace
+
+int report(const Options& options, const Run& run) {
+  const Served served = read_recording(run);
+  const Viewers viewers = put_together(run, served);
+  std::vector<double> intervals;  // ms
+  for (auto at = served.tick_ns.begin(), before = at++; at != served.tick_ns.end(); before = at++)
+    if (before->second >= run.begin_ns && at->second < run.end_ns)
+      intervals.push_back(1e-6 * double(at->second - before->second));
+  std::sort(intervals.begin(), intervals.end());
+  const double seconds = 1e-9 * double(run.end_ns - run.begin_ns);
+  const Sample &first = run.samples.front(), &last = run.samples.back();
+  const auto [fewest, most] =
+      std::minmax_element(run.samples.begin() + std::ptrdiff_t(run.samples.size() / 4), run.samples.end(),
+                          [](const Sample& a, const Sample& b) { return a.descriptors < b.descriptors; });
+  const Health& end = served.health.back();
+  const auto count = [&](const char* name) { return end.counts.count(name) ? end.counts.at(name) : 0; };
+  double worst_tick = 0, residual = 0;
+  for (const Health& health : served.health) {
+    worst_tick = std::max(worst_tick, health.rooms.count("tick") ? health.rooms.at("tick").second : 0.0);
+    residual =
+        std::max(residual, health.counts.count("residual_worst_nm") ? 1e-6 * double(health.counts.at("residual_worst_nm")) : 0);
+  }
+  const double shed_share = double(count("work_shed"));
+
+  Json json(options.folder + "/load.json");
+  json.text("machine", machine());
+  json.number("seconds", seconds);
+  json.number("hosts", options.hosts);
+  json.number("asleep", options.asleep);
+  json.number("driving", options.driving);
+  json.number("crashing", options.crashing);
+  json.number("viewers", options.viewers);
+  json.number("follow", options.follow);
+  json.text("serve", options.serve);
+  json.number("importance", options.importance);
+  json.number("ticks", double(intervals.size()));
+  json.number("late", double(end.late - served.late_before));
+  json.number("worst_tick_ms", worst_tick);
+  for (const auto& [name, share] : {std::pair{"p50", 0.5}, {"p99", 0.99}, {"p99.9", 0.999}, {"most", 1.0}}) {
+    json.number(std::string("interval_ms_") + name, quantile(intervals, share));
+    json.number(std::string("latency_ms_") + name, quantile(viewers.latency, share));
+  }
+  json.number("surfaces", double(viewers.latency.size()));
+  json.number("surfaces_missing", double(viewers.missing));
+  json.number("bits_per_vertex_frame",
+              served.frames > 0 ? 8 * double(served.bytes) / (double(served.frames) * double(served.vertices)) : 0);
+  json.number("viewer_mbits_mean", viewers.mean_mbits);
+  json.number("viewer_mbits_worst", viewers.worst_mbits);
+  json.number("open_ms_worst", viewers.open_ms);
+  json.number("late_join_ms_worst", viewers.late_ms);
+  json.number("thawed_stale_ms_worst", viewers.stale_ms);
+  json.number("thawed_current_after_ms", viewers.thaw_ms);
+  json.number("diverged", double(viewers.diverged));
+  json.number("compared", double(viewers.compared));
+  json.number("cpu_cores", (last.cpu - first.cpu) / seconds);
+  json.number("recorder_cores", (last.recorder_cpu - first.recorder_cpu) / seconds);
+  json.number("memory_mb", 1e-6 * double(last.memory));
+  json.number("memory_slope_mb_per_hour", 3600e-6 * slope(run.samples));
+  json.number("descriptors_fewest", fewest->descriptors);
+  json.number("descriptors_most", most->descriptors);
+  json.number("work_shed", shed_share);
+  json.number("residual_worst_mm", residual);
+  json.number("refusals", double(end.refusals));
+  json.number("sent_dropped", double(count("sent_dropped")));
+  json.number("received_dropped", double(count("received_dropped")));
+  json.number("recording_lost", double(count("recording_lost")));
+  std::vector<std::vector<double>> rows, rooms, points;
+  for (const Sample& each : run.samples)
+    rows.push_back(
+        {1e-9 * double(each.ns - run.begin_ns), each.cpu - first.cpu, 1e-6 * double(each.memory), double(each.descriptors)});
+  for (const Health& health : served.health) {
+    auto& row =
+        rooms.emplace_back(std::vector{1e-9 * double(health.ns - run.begin_ns), double(health.late - served.late_before)});
+    for (const char* name : {"decode", "contacts", "solve", "flow", "surface", "tick"})
+      row.push_back(health.rooms.count(name) ? health.rooms.at(name).first : 0.0);
+    row.push_back(health.rooms.count("tick") ? health.rooms.at("tick").second : 0.0);
+  }
+  for (int k = 0; k <= 1000; ++k)
+    points.push_back({0.001 * k, quantile(intervals, 0.001 * k), quantile(viewers.latency, 0.001 * k)});
+  json.rows("samples", rows);      // s, CPU s, MB, descriptors
+  json.rows("rooms", rooms);       // s, late, mean ms of each room, worst tick
+  json.rows("quantiles", points);  // share, interval ms, latency ms
+  json.close();
+
+  std::printf("ticks %zu, late %llu, longest %.1f ms; interval p99 %.1f, p99.9 %.1f, most %.1f ms\n", intervals.size(),
+              static_cast<unsigned long long>(end.late - served.late_before), worst_tick, quantile(intervals, 0.99),
+              quantile(intervals, 0.999), quantile(intervals, 1));
+  std::printf("surfaces %zu, %llu never came; after the tick p50 %.2f, p99 %.2f, p99.9 %.2f ms\n", viewers.latency.size(),
+              static_cast<unsigned long long>(viewers.missing), quantile(viewers.latency, 0.5), quantile(viewers.latency, 0.99),
+              quantile(viewers.latency, 0.999));
+  std::printf("viewer: %.2f Mb/s, %.2f in its busiest second; first surfaces after %.0f ms, of late ones %.0f ms\n",
+              viewers.mean_mbits, viewers.worst_mbits, viewers.open_ms, viewers.late_ms);
+  if (viewers.thaw_ms > 0)
+    std::printf("frozen for 3 s: current again after %.0f ms; the oldest surface shown was superseded %.0f ms before\n",
+                viewers.thaw_ms, viewers.stale_ms);
+  std::printf("server: %.2f cores, recording %.3f; %.0f MB, %+.1f MB an hour; %u to %u descriptors\n",
+              (last.cpu - first.cpu) / seconds, (last.recorder_cpu - first.recorder_cpu) / seconds, 1e-6 * double(last.memory),
+              3600e-6 * slope(run.samples), fewest->descriptors, most->descriptors);
+  std::printf("%llu of %llu surfaces differ from the server's at the end; written %s/load.json\n",
+              static_cast<unsigned long long>(viewers.diverged), static_cast<unsigned long long>(viewers.compared),
+              options.folder.c_str());
+  return viewers.diverged == 0 ? 0 : 1;
+}
+
+}  // namespace crumple::load
