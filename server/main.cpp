@@ -77,6 +77,12 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
                   "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; "
                   "tcp/0.0.0.0:7447 from the network, without any password")
       ->capture_default_str();
+  verb.add_option("--connect", options.connect,
+                  "endpoints of zenoh routers to connect to, comma separated; hosts and viewers connect to them as well")
+      ->excludes("--listen")
+      ->type_name("ENDPOINTS");
+  verb.add_flag("--standby", options.standby,
+                "holds the world of the scene's server, tick by tick, and goes on in its place when it is gone");
   verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
   verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
       ->check(CLI::Range(0, 256))

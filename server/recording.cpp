@@ -110,6 +110,7 @@ Recording::Recording(const std::string& path, const RecordingHead& head) : root_
   need(recorder_metadata(recorder_, "crumple", pointers.data()));
   for (const auto& car : head.cars)
     need(recorder_attach(recorder_, car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
+  if (!head.world.empty()) need(recorder_attach(recorder_, "world", world_media_type, head.world.data(), head.world.size()));
 }
 
 Recording::~Recording() { close(); }
@@ -163,9 +164,11 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
     const char *name, *type;
     const uint8_t* data;
     size_t size;
-    for (uint32_t i = 0; reader_attachment(reader_, i, &name, &type, &data, &size) == 1; ++i)
-      if (std::strcmp(type, car_media_type) == 0)
-        head_.cars.push_back(read_car({reinterpret_cast<const std::byte*>(data), size}, path + ": attachment " + name));
+    for (uint32_t i = 0; reader_attachment(reader_, i, &name, &type, &data, &size) == 1; ++i) {
+      const auto* bytes = reinterpret_cast<const std::byte*>(data);
+      if (std::strcmp(type, car_media_type) == 0) head_.cars.push_back(read_car({bytes, size}, path + ": attachment " + name));
+      if (std::strcmp(type, world_media_type) == 0) head_.world.assign(bytes, bytes + size);
+    }
   } catch (...) {
     reader_close(reader_);
     throw;

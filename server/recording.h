@@ -1,6 +1,7 @@
 // A recorded session: one MCAP file that holds everything its ticks were computed from, so that they can be computed again.
 //
 //   attachments   each car that could be spawned: name = its hash, the bytes of the baked file
+//                 the world that the first tick began with, if it was not empty (server/snapshot.h)
 //   metadata      "crumple": program, scene, started, rate, quantum, and each limit under its name
 //   messages      topic = the key on the wire, "crumple/1/{scene}/...", schema = the FlatBuffers table, sequence = the tick
 //     .../host/{host}/poses, .../obstacles, .../car/{car} (Command), .../budget    inputs, in the order in which the
@@ -25,6 +26,7 @@ namespace crumple {
 
 inline constexpr const char* program_version = "0.1.0";
 inline constexpr const char* car_media_type = "application/vnd.crumple.car";
+inline constexpr const char* world_media_type = "application/vnd.crumple.world";
 
 // What a fresh world is made of.
 struct RecordingHead {
@@ -35,6 +37,7 @@ struct RecordingHead {
   float quantum = 0.0005f;
   Limits limits;
   std::vector<std::shared_ptr<const Car>> cars;
+  std::vector<std::byte> world;  // load_world; empty: a new one
 };
 
 // "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.

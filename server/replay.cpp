@@ -9,6 +9,7 @@
 #include "film.h"
 #include "recording.h"
 #include "schema/message_generated.h"
+#include "snapshot.h"
 
 namespace crumple {
 namespace {
@@ -29,6 +30,7 @@ Verdict verify(RecordingReader& file, int threads, const std::atomic<bool>& stop
   const RecordingHead& head = file.head();
   const WorldHandle world = make_world(head.rate, head.quantum, head.limits);
   for (const auto& car : head.cars) add_asset(*world, car);
+  if (!head.world.empty()) load_world(head.world, *world);
   Verdict verdict;
   Inbox inbox;
   Outbox outbox;

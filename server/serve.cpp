@@ -17,6 +17,8 @@
 #include "answer.h"
 #include "recording.h"
 #include "schema/message_generated.h"
+#include "snapshot.h"
+#include "standby.h"
 
 namespace crumple {
 namespace {
@@ -26,6 +28,9 @@ using Clock = std::chrono::steady_clock;
 // Messages that one tick takes; further ones wait in the transport's own bounded queues.
 constexpr size_t inbox_limit = 20'000;
 constexpr uint32_t command_depth = 1'000;  // queries waiting
+constexpr uint32_t connect_ms = 10'000;    // until a router must have answered
+// How long a server that connects to others looks for one that owns its scene already.
+constexpr std::chrono::milliseconds look{1000};
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
 // cannot keep up slows down, and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;
@@ -62,6 +67,9 @@ struct Server {
   Inbox inbox;
   Outbox outbox;
   Pace pace;
+  Owner owner{1, random_id()};
+  bool replaced = false;  // by a server of a later epoch
+  WorldAnswers world_answers;
   uint64_t late = 0;
   int threads = 1;
 
@@ -94,29 +102,81 @@ void start_world(Server& server) {
   server.world = make_world(options.rate, quantum);
   for (const auto& car : server.cars) add_asset(*server.world, car);
   set_clock(*server.world, [start = Clock::now()] { return std::chrono::duration<double>(Clock::now() - start).count(); });
+}
+
+// From here on; what the world holds already goes in front.
+void start_recording(Server& server) {
+  const ServeOptions& options = server.options;
   if (options.record.empty()) return;
   RecordingHead head;
+  if (tick_count(*server.world) > 0) head.world = save_world(*server.world);
   head.scene = options.scene;
   head.started = utc();
   head.rate = options.rate;
-  head.quantum = quantum;
+  head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
   head.cars = server.cars;
   server.recording.emplace(options.record, head);
 }
 
+// Beside routers as a client of them: they route between clients, and between peers only where those know one another.
 void open_network(Server& server) {
-  need(net_open("peer", server.options.listen.c_str(), nullptr, nullptr, 0, &server.net));
+  const ServeOptions& options = server.options;
+  if (options.connect.empty()) {
+    need(net_open("peer", options.listen.c_str(), nullptr, nullptr, 0, &server.net));
+  } else {
+    need(net_open("client", nullptr, options.connect.c_str(), nullptr, connect_ms, &server.net));
+  }
+}
+
+void watch_owners(Server& server, const NetEvent& event) {
+  if (event.kind != NET_ALIVE) return;
+  const auto other = owner_of(std::string_view(event.key).substr(server.root.size()));
+  server.replaced |= other && *other > server.owner;
+}
+
+// Waits for the end of the scene's owner, or makes sure that there is none. Returns whether this server is to own the scene.
+bool become_owner(Server& server, const std::atomic<bool>& stop) {
+  if (server.options.standby) {
+    const auto epoch = stand_by(server.net, {server.root, server.owner.id, server.threads}, *server.world, stop);
+    if (epoch) server.owner.epoch = *epoch;
+    return epoch.has_value();
+  }
+  need(net_watch(server.net, (server.root + "owner/*").c_str()));
+  if (server.options.connect.empty()) return true;
+  const auto until = Clock::now() + look;
+  while (Clock::now() < until && !stop) {
+    NetEvent events[16];
+    const int got = net_poll(server.net, events, 16, 50'000);
+    need(got);
+    for (int k = 0; k < got; ++k)
+      if (events[k].kind == NET_ALIVE && std::string_view(events[k].key).starts_with(server.root + "owner/"))
+        throw std::runtime_error("scene " + server.options.scene +
+                                 " has a server already: wait for its end with --standby, or serve another --scene");
+  }
+  return !stop;
+}
+
+void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0));
-  for (const char* what : {"car/*", "car/*/key"}) need(net_queryable(server.net, (server.root + what).c_str(), command_depth));
+  for (const char* what : {"car/*", "car/*/key", "replica/world"})
+    need(net_queryable(server.net, (server.root + what).c_str(), command_depth));
   need(net_queryable(server.net, "crumple/1/asset/*", command_depth));
+  need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
   need(net_announce(server.net, (server.root + "server").c_str()));
+  for (const std::string& car : cars(*server.world)) {
+    server.announced.insert("car/" + car);
+    need(net_announce(server.net, (server.root + "car/" + car).c_str()));
+  }
 }
 
 void take(Server& server, const NetEvent& event) {
   const std::string_view key = event.key;
   if (event.kind == NET_QUERY && key.starts_with("crumple/1/asset/")) return answer_asset(server.net, event, server.cars);
-  if ((event.kind != NET_SAMPLE && event.kind != NET_QUERY) || !key.starts_with(server.root)) return;
+  if (!key.starts_with(server.root)) return;
+  if (event.kind == NET_QUERY && key.ends_with("/replica/world"))
+    return server.world_answers.answer(server.net, event, *server.world);
+  if (event.kind != NET_SAMPLE && event.kind != NET_QUERY) return watch_owners(server, event);
   Message message;
   message.key = key.substr(server.root.size());
   const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
@@ -167,7 +227,8 @@ void publish(Server& server, const Message& message) {
     return;
   }
   const Channel channel = channel_of(message.key);
-  const NetPriority priority = channel == Channel::reactions ? NET_REAL_TIME : channel == Channel::health ? NET_LOW : NET_DATA;
+  const bool first = channel == Channel::reactions || message.key == "replica/inputs";
+  const NetPriority priority = first ? NET_REAL_TIME : channel == Channel::health ? NET_LOW : NET_DATA;
   net_put(server.net, (server.root + message.key).c_str(), message.bytes.data(), message.bytes.size(), priority);
 }
 
@@ -180,11 +241,14 @@ void run_tick(Server& server) {
   tick(*server.world, server.inbox, server.outbox, server.threads);
   const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
   server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), work(*server.world));
+  const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
+  const uint64_t sum = server.recording || replicated ? hash(*server.world) : 0;
+  if (replicated) publish(server, inputs_message(number, server.inbox, sum));
   announce_cars(server);
   for (const Message& message : server.outbox) publish(server, message);
   if (server.recording) {
     for (const Message& message : server.outbox) server.recording->output(number, message, time);
-    server.recording->end_tick(number, hash(*server.world), time);
+    server.recording->end_tick(number, sum, time);
   }
   server.inbox.clear();
 }
@@ -229,10 +293,10 @@ void run(Server& server, const std::atomic<bool>& stop) {
   const auto begun = Clock::now();
   auto due = begun + period, next_health = begun + std::chrono::seconds(1);
   uint64_t told = 0;
-  while (!stop &&
+  while (!stop && !server.replaced &&
          (server.options.seconds <= 0 || std::chrono::duration<double>(due - begun).count() <= server.options.seconds)) {
     collect(server, due, stop);
-    if (stop) break;
+    if (stop || server.replaced) break;
     const auto now = Clock::now();
     if (now > due + slack) {
       ++server.late;
@@ -251,13 +315,16 @@ int finish(Server& server) {
   std::printf("%s%llu ticks, %llu late, %llu messages refused\n", isatty(STDOUT_FILENO) ? "\n" : "",
               static_cast<unsigned long long>(tick_count(*server.world)), static_cast<unsigned long long>(server.late),
               static_cast<unsigned long long>(refusal_count(*server.world)));
-  if (!server.recording) return 0;
+  if (server.replaced)
+    std::fprintf(stderr, "crumple serve: this server was cut off, and another has taken over scene %s: it ends here\n",
+                 server.options.scene.c_str());
+  if (!server.recording) return server.replaced ? 1 : 0;
   const uint64_t lost = server.recording->lost();
   const std::string trouble = server.recording->close();
   if (lost > 0)
     std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(lost));
   if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
-  if (lost > 0 || !trouble.empty()) return 1;
+  if (lost > 0 || !trouble.empty() || server.replaced) return 1;
   std::printf("recorded %s\n", server.options.record.c_str());
   return 0;
 }
@@ -271,13 +338,19 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   server.pace.limit = 1e-3 * options.budget_ms;
   start_world(server);
   open_network(server);
-  std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(), net_endpoint(server.net), options.rate,
-              server.threads, server.threads == 1 ? "" : "s");
+  std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(),
+              options.connect.empty() ? net_endpoint(server.net) : options.connect.c_str(), options.rate, server.threads,
+              server.threads == 1 ? "" : "s");
   for (const auto& car : server.cars)
     std::printf("car %s  %s  %zu nodes  %zu vertices  %zu coarser levels: %s\n", car->hash.c_str(), car->name.c_str(),
                 car->model.node.size(), car->model.vertex.size(), coarser_levels(*server.world, car->hash),
                 car->attribution.c_str());
+  if (options.standby) std::printf("stands by for the server of scene %s\n", options.scene.c_str());
   std::fflush(stdout);
+  if (!become_owner(server, stop)) return 0;
+  renew(*server.world);
+  start_recording(server);
+  open_scene(server);
   run(server, stop);
   return finish(server);
 }

@@ -12,6 +12,8 @@ struct ServeOptions {
   std::vector<std::string> cars;  // baked files that may be spawned
   std::string scene = "main";
   std::string listen = "tcp/127.0.0.1:7447";  // port 0: any free one, printed
+  std::string connect;                        // endpoints of routers, in place of listen; empty: none
+  bool standby = false;                       // waits until the scene's server is gone, and goes on in its place
   double rate = 60;                           // ticks a second
   int threads = 0;                            // 0: as many as there are cores
   double budget_ms = 12;                      // that the cars of a tick may take; 0: no limit

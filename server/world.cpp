@@ -247,6 +247,16 @@ void tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
 
 uint64_t tick_count(const World& world) { return world.tick; }
 
+void renew(World& world) {
+  for (auto& [id, car] : world.cars) car.told.due = true;
+}
+
+std::vector<std::string> cars(const World& world) {
+  std::vector<std::string> ids;
+  for (const auto& [id, car] : world.cars) ids.push_back(id);
+  return ids;
+}
+
 void set_clock(World& world, std::function<double()> clock) { world.clock = std::move(clock); }
 
 WorldHandle make_world(double rate, float quantum, const Limits& limits) {

@@ -51,6 +51,10 @@ Message budget_message(uint64_t visits);
 
 // Everything that the next tick depends on. The same after the same inboxes, for any thread count.
 uint64_t hash(const World&);
+// Viewers are told of every car anew in the next tick: a server has taken over.
+void renew(World&);
+// Ids of the cars that live.
+std::vector<std::string> cars(const World&);
 // Ticks done. The first is 1, so that 0 can stand for none.
 uint64_t tick_count(const World&);
 

@@ -366,6 +366,88 @@ TEST_F(EndToEnd, AnInputThatWasChangedAfterwardsIsFoundAtItsTick) {
   EXPECT_NE(outcome.text.find("false.mcap: tick " + std::to_string(tick) + " differs"), std::string::npos) << outcome.text;
 }
 
+// Two servers and a router; the one that owns the scene is killed while the car is being crushed.
+TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  const std::string recording = path("after.mcap");
+  const auto serve = [&](const std::vector<std::string>& more) {
+    std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", net_endpoint(router.get())};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return std::make_unique<Process>(arguments);
+  };
+  auto owner = serve({});
+  ASSERT_TRUE(owner->read_until("levels")) << owner->text;
+  endpoint = net_endpoint(router.get());
+  Crumple *host = open("game"), *viewer = open();
+  spawn(host);
+  ASSERT_EQ(crumple_follow(viewer, "box"), CRUMPLE_OK);
+  auto standby = serve({"--standby", "--record", recording});
+  ASSERT_TRUE(standby->read_until("holds the world")) << standby->text;
+
+  // Once and for all: from here on the car is the servers' alone.
+  CrumpleObstacle wall{};
+  wall.shape = CRUMPLE_BOX;
+  wall.size[0] = 1, wall.size[1] = 3, wall.size[2] = 3;
+  wall.pose = {{2.25 + 0.3 + 1, 0, 0}, {0, 0, 0, 1}};
+  ASSERT_EQ(crumple_publish_obstacles(host, &wall, 1), CRUMPLE_OK) << crumple_error();
+  CrumpleCarPose pose{};
+  pose.car = "box";
+  pose.pose.orientation[3] = 1;
+  pose.velocity[0] = 10;
+  ASSERT_EQ(crumple_publish_poses(host, 0, &pose, 1), CRUMPLE_OK) << crumple_error();
+  ASSERT_TRUE(until(viewer, [&] { return deepest(viewer) > 20; })) << "no dent";
+  owner->send(SIGKILL);
+  const auto killed = Clock::now();
+  const int dent = deepest(viewer);
+  CrumpleSurface held{};
+  crumple_surface(viewer, "box", &held);
+  const uint64_t tick = held.tick;
+  ASSERT_TRUE(standby->read_until("takes over")) << standby->text;
+  EXPECT_EQ(standby->text.find("did not hold"), std::string::npos) << standby->text;
+  const auto told_anew = [&] { return crumple_surface(viewer, "box", &held) == CRUMPLE_OK && held.tick > tick && held.alive; };
+  ASSERT_TRUE(until(viewer, told_anew));
+  EXPECT_LT(Clock::now() - killed, std::chrono::seconds(30)) << "5 s on a machine that does nothing else";
+  EXPECT_GT(deepest(viewer), dent / 2) << "the dents of the killed server";
+
+  // When all is calm, whoever comes now is told the same.
+  ASSERT_TRUE(until(host, [&] {
+    CrumpleReaction reaction;
+    bool calm = false;
+    while (crumple_take_reactions(host, &reaction, 1) == 1) calm = reaction.contacts == 0 && reaction.tick > tick + 30;
+    return calm;
+  }));
+  ASSERT_TRUE(until(viewer, [&] { return hash_held(viewer) != 0; }));
+  Crumple* late = open();
+  ASSERT_EQ(crumple_follow(late, "box"), CRUMPLE_OK);
+  EXPECT_TRUE(until(late, [&] {
+    crumple_poll(viewer, 10'000);
+    return hash_held(late) != 0 && hash_held(late) == hash_held(viewer);
+  }));
+  standby->send(SIGTERM);
+  EXPECT_EQ(standby->wait(), 0) << standby->text;
+  const Outcome verified = run({"replay", recording, "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+}
+
+TEST_F(EndToEnd, ASceneHasOneServer) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  const std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", net_endpoint(router.get())};
+  Process owner(arguments);
+  endpoint = net_endpoint(router.get());
+  ASSERT_NE(open(), nullptr) << "it serves";
+  const Outcome second = run(arguments);
+  EXPECT_EQ(second.code, 1);
+  EXPECT_NE(second.text.find("has a server already"), std::string::npos) << second.text;
+  // One that was cut off meets the token of a later epoch.
+  ASSERT_EQ(net_announce(router.get(), "crumple/1/main/owner/2-abc"), 0) << transport_error();
+  EXPECT_EQ(owner.wait(), 1);
+  EXPECT_NE(owner.text.find("another has taken over"), std::string::npos) << owner.text;
+}
+
 TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   start_server(path("drive.mcap"));
   std::ofstream(path("scene.json")) << R"({"about": "Into a wall.", "mass": 1000,

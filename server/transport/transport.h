@@ -28,7 +28,7 @@ const char* transport_version(void);
 
 typedef struct Net Net;
 
-// mode "peer" with `listen`, or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
+// mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
 // config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16
 // batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns
 // its port by net_endpoint. Waits up to timeout_ms for a client's first connection.

@@ -17,16 +17,16 @@ pub fn build(
 ) -> Result<zenoh::Config, Fail> {
     let bad = |sentence: String| Fail::new(BAD_ARGUMENT, sentence);
     match mode {
-        "peer" if listen.is_empty() && connect.is_empty() => {
-            return Err(bad("a peer needs an endpoint to listen on, such as tcp/127.0.0.1:7447".into()));
+        "peer" | "router" if listen.is_empty() && connect.is_empty() => {
+            return Err(bad(format!("a {mode} needs an endpoint to listen on, such as tcp/127.0.0.1:7447")));
         }
         "client" if connect.is_empty() || !listen.is_empty() => {
             return Err(
                 bad("a client needs an endpoint to connect to, such as tcp/127.0.0.1:7447, and listens on none".into()),
             );
         }
-        "peer" | "client" => {}
-        other => return Err(bad(format!("mode is \"{other}\"; it must be \"peer\" or \"client\""))),
+        "peer" | "client" | "router" => {}
+        other => return Err(bad(format!("mode is \"{other}\"; it must be \"peer\", \"client\" or \"router\""))),
     }
     let mut config = json!({
         "mode": mode,

@@ -1,0 +1,54 @@
+// A second server of a scene. It takes in what the owner takes in, makes the same ticks of it, and so holds the same world, bit
+// for bit; where the owner ends, it goes on. What travels are the inputs of each tick, and once the whole world to begin with.
+//
+// Who owns a scene stands in a token, owner/{epoch}-{id}: the epoch counts up with each takeover. A server that was only cut
+// off, and meets the token of a later epoch when it is back, knows that it was replaced.
+#pragma once
+
+#include <atomic>
+#include <optional>
+#include <set>
+#include <string>
+
+#include "transport/transport.h"
+#include "world.h"
+
+namespace crumple {
+
+struct Owner {
+  uint64_t epoch = 0;
+  std::string id;
+  friend auto operator<=>(const Owner&, const Owner&) = default;
+};
+std::string token_of(const Owner&);  // below the scene's root
+// Of a key below the scene's root; nothing if it is no owner's.
+std::optional<Owner> owner_of(std::string_view key);
+std::string random_id();
+
+// ---- of the owner ----
+
+// Key "replica/inputs": to be sent before the tick's own messages, so that no viewer knows more than who stands by.
+Message inputs_message(uint64_t tick, const Inbox&, uint64_t hash);
+
+// Answers questions for the whole world, piece by piece (payload: offset, 8 bytes; 0 takes a new snapshot).
+class WorldAnswers {
+ public:
+  void answer(Net*, const NetEvent&, const World&);
+
+ private:
+  std::vector<std::byte> snapshot_;
+};
+
+// ---- of who stands by ----
+
+struct StandbyOptions {
+  std::string root;  // "crumple/1/{scene}/"
+  std::string id;
+  int threads = 1;
+};
+// Until the owner is gone and this server is the one to take over: then the epoch to take over with, and `world` is as the
+// owner's was. Nothing if `stop` came first. Says on stdout what happens. Throws std::runtime_error: the session is broken, or
+// the owner's world cannot be held here.
+std::optional<uint64_t> stand_by(Net*, const StandbyOptions&, World& world, const std::atomic<bool>& stop);
+
+}  // namespace crumple
