@@ -262,7 +262,7 @@ TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
 }
 
 TEST(Client, ASessionWithoutAServerSaysWhatToDo) {
-  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 50, "tcp/127.0.0.1:1", "main", nullptr, nullptr};
   Crumple* session = nullptr;
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_CLOSED);
   EXPECT_EQ(session, nullptr);
@@ -271,7 +271,7 @@ TEST(Client, ASessionWithoutAServerSaysWhatToDo) {
 
 TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
   Crumple* session = nullptr;
-  CrumpleOptions options{CRUMPLE_CLIENT_VERSION + 1, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  CrumpleOptions options{CRUMPLE_CLIENT_VERSION + 1, 50, "tcp/127.0.0.1:1", "main", nullptr, nullptr};
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
   options.version = CRUMPLE_CLIENT_VERSION;
   options.scene = "ma/in";
@@ -289,7 +289,7 @@ TEST(Client, AsksForWhatHealthSaysThatItLost) {
   ASSERT_EQ(net_queryable(net, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
   ASSERT_EQ(net_announce(net, "crumple/1/main/server"), TRANSPORT_OK);
   ASSERT_EQ(net_announce(net, "crumple/1/main/car/a"), TRANSPORT_OK);
-  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(net), "main", nullptr};
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(net), "main", nullptr, nullptr};
   Crumple* handle = nullptr;
   ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
   const std::unique_ptr<Crumple, decltype(&crumple_close)> session(handle, crumple_close);
