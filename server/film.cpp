@@ -115,7 +115,8 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
 
 void show_films(const ReplayOptions& options, const std::atomic<bool>& stop) {
   Net* net = nullptr;
-  if (net_open("peer", options.listen.c_str(), nullptr, nullptr, 0, &net) < 0) throw std::runtime_error(transport_error());
+  const char* network = options.network.empty() ? nullptr : options.network.c_str();
+  if (net_open("peer", options.listen.c_str(), nullptr, network, 0, &net) < 0) throw std::runtime_error(transport_error());
   const std::unique_ptr<Net, void (*)(Net*)> close(net, net_close);
   net_queryable(net, "crumple/1/*/car/*/key", 1'000);
   net_queryable(net, "crumple/1/asset/*", 1'000);

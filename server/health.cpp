@@ -41,7 +41,7 @@ uint64_t refusal_count(const World& world) {
 
 const std::string& last_refusal(const World& world) { return world.tally.last_refusal; }
 
-Message health(World& world, uint64_t late, const std::vector<std::pair<std::string, uint64_t>>& more_counts) {
+Message health(World& world, uint64_t late, const std::vector<MoreCount>& more_counts) {
   Tally& tally = world.tally;
   const Limits& limits = world.limits;
   HealthReport report;
@@ -65,7 +65,7 @@ Message health(World& world, uint64_t late, const std::vector<std::pair<std::str
       {"residual_mean_nm", nanometres(tally.solved > 0 ? tally.residual_sum / double(tally.solved) : 0), 0},
       {"residual_worst_nm", nanometres(tally.residual_worst), 0},
   };
-  for (const auto& [name, value] : more_counts) report.counts.push_back({name, value, 0});
+  for (const auto& [name, value, limit] : more_counts) report.counts.push_back({name, value, limit});
   for (size_t i = 0; i < reason_count; ++i) report.refusals.push_back({reason_names[i], tally.refusals[i], 0});
   report.told = told_lately(world);
   tally.ticks = tally.solved = tally.most_work = 0;

@@ -14,13 +14,14 @@ Refusal stale(const char* what, uint64_t sequence, uint64_t last) {
                                       " is allowed (a host that starts anew may count from the time in microseconds)"};
 }
 
+// Who may not speak is refused before anything is read: whoever invents hosts costs a look at their names.
 Verdict take_poses(World& world, const std::string& host_id, const Bytes& bytes) {
-  Intents intents;
-  if (Verdict refusal = decode(bytes, world.limits, intents)) return refusal;
   const auto found = world.hosts.find(host_id);
   if (found == world.hosts.end()) {
     return Refusal{Reason::unknown_host, "poses: host " + host_id + " has no car here; spawn one that names it first"};
   }
+  Intents intents;
+  if (Verdict refusal = decode(bytes, world.limits, intents)) return refusal;
   Host& host = found->second;
   if (host.poses_sequence && intents.sequence <= *host.poses_sequence) {
     return stale("poses", intents.sequence, *host.poses_sequence);
@@ -55,13 +56,13 @@ void replace_obstacles(World& world, const Host& of, std::vector<Obstacle>&& obs
 }
 
 Verdict take_obstacles(World& world, const std::string& host_id, const Bytes& bytes) {
-  ObstacleList list;
-  if (Verdict refusal = decode(bytes, world.limits, list)) return refusal;
-  Host* host = find_or_add_host(world, host_id);
-  if (!host) {
+  if (world.hosts.size() >= world.limits.hosts && !world.hosts.contains(host_id)) {
     return Refusal{Reason::too_many_hosts, "obstacles: host " + host_id + " would be one more than the " +
                                                std::to_string(world.limits.hosts) + " hosts that are allowed"};
   }
+  ObstacleList list;
+  if (Verdict refusal = decode(bytes, world.limits, list)) return refusal;
+  Host* host = find_or_add_host(world, host_id);
   if (host->obstacles_sequence && list.sequence <= *host->obstacles_sequence) {
     return stale("obstacles", list.sequence, *host->obstacles_sequence);
   }

@@ -4,7 +4,10 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <filesystem>
+#include <fstream>
 #include <functional>
+#include <sstream>
 
 #include "bake_command.h"
 #include "cpp/drive.h"
@@ -13,6 +16,7 @@
 #include "recording.h"
 #include "replay.h"
 #include "serve.h"
+#include "transport/transport.h"
 
 namespace crumple {
 namespace {
@@ -30,6 +34,47 @@ const CLI::Validator is_id(
       return good ? "" : "\"" + text + "\" is not an id: use 1 to 32 characters of a-z A-Z 0-9 _ -";
     },
     "ID");
+
+std::string read_file(const std::string& path) {
+  std::ifstream file(path);
+  if (!file || std::filesystem::is_directory(path))
+    throw CLI::FileError(path + ": cannot be read; is it there, and may this user read it?");
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+// Of every verb with a network. text: what the file holds.
+void add_network(CLI::App& verb, std::string& text, const char* example) {
+  const auto read = [&text](const std::string& path) {
+    if (path.empty()) return;
+    text = read_file(path);
+    if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
+  };
+  verb.add_option_function<std::string>(
+          "--network", read,
+          std::string("zenoh's own configuration, laid over ours: TLS, users, who may do what; see ") + example)
+      ->type_name("FILE.json5")
+      ->run_callback_for_default();  // which is empty: only so that --print-config shows it
+}
+
+// Options from a file, in the form that --print-config has; what the command line says stands. To be added last: options are
+// looked at in the order in which they were added, so what is wrong by then is the file's fault.
+void add_config(CLI::App& verb) {
+  const auto read = [&verb](const std::string& path) {
+    std::istringstream text(read_file(path));
+    try {
+      verb.parse_from_stream(text);
+    } catch (const CLI::Success&) {
+      throw;
+    } catch (const CLI::ParseError& error) {
+      throw CLI::FileError(path + ": " + error.what() + "; `crumple " + verb.get_name() +
+                           " --car CAR --print-config` shows every key and what it means");
+    }
+  };
+  verb.allow_config_extras(CLI::config_extras_mode::error);
+  verb.add_option_function<std::string>("--config", read, "takes options from this file, except those given here as well")
+      ->type_name("FILE.toml")
+      ->configurable(false);
+}
 
 using Verb = std::function<int()>;
 
@@ -74,15 +119,16 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->type_name("CAR");
   verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(is_id)->capture_default_str();
   verb.add_option("--listen", options.listen,
-                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; "
-                  "tcp/0.0.0.0:7447 from the network, without any password")
+                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
+                  "network, by anyone unless --network says who")
       ->capture_default_str();
-  verb.add_option("--connect", options.connect,
-                  "endpoints of zenoh routers to connect to, comma separated; hosts and viewers connect to them as well")
-      ->excludes("--listen")
+  verb.add_option(
+          "--connect", options.connect,
+          "instead of listening: endpoints of zenoh routers, comma separated; hosts and viewers connect to them as well")
       ->type_name("ENDPOINTS");
   verb.add_flag("--standby", options.standby,
                 "holds the world of the scene's server, tick by tick, and goes on in its place when it is gone");
+  add_network(verb, options.network, "server/network.json5");
   verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
   verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
       ->check(CLI::Range(0, 256))
@@ -96,12 +142,31 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
       ->check(CLI::Range(0.001, 100.0))
       ->capture_default_str();
-  verb.add_option("--record", options.record, "writes the session to this file")->type_name("FILE.mcap");
-  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C")
+  verb.add_option(
+          "--record", options.record,
+          "writes the session to this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
+          "a service that starts again keeps what it recorded before")
+      ->type_name("FILE.mcap");
+  verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
+      ->type_name("HOST:PORT");
+  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  verb.footer("Example: crumple serve --car m130.car --record today.mcap");
-  return [&options] { return serve(options, stop); };
+  verb.add_flag("--check-config", options.check, "says whether options, cars and network configuration are good; opens nothing")
+      ->configurable(false);
+  const CLI::Option* print = verb.add_flag("--print-config")
+                                 ->description("prints all options as a file for --config, with comments")
+                                 ->configurable(false);
+  add_config(verb);
+  verb.footer(
+      "Example: crumple serve --car m130.car --record today.mcap\n"
+      "A service: crumple serve --car m130.car --print-config > server.toml\n"
+      "           crumple serve --config server.toml");
+  return [&options, &verb, print] {
+    if (print->count() == 0) return serve(options, stop);
+    std::fputs(verb.config_to_str(true, true).c_str(), stdout);
+    return 0;
+  };
 }
 
 Verb add_drive(CLI::App& app, client::DriveOptions& options) {
@@ -109,6 +174,7 @@ Verb add_drive(CLI::App& app, client::DriveOptions& options) {
   verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
   verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
   verb.add_option("--host", options.host, "id of this host")->check(is_id)->capture_default_str();
   verb.add_option("--id", options.id, "id of the car that is spawned")->check(is_id)->capture_default_str();
@@ -121,6 +187,7 @@ Verb add_drive(CLI::App& app, client::DriveOptions& options) {
 Verb add_watch(CLI::App& app, client::WatchOptions& options) {
   CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(is_id);
   verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
@@ -138,6 +205,7 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
   verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
   verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
+  add_network(verb, options.network, "server/network.json5");
   verb.add_option("--speed", options.speed, "of --publish: 1 is as it was")
       ->needs(publish)
       ->check(CLI::Range(0.01, 100.0))

@@ -14,6 +14,7 @@ struct ReplayOptions {
   bool publish = false;
   int threads = 0;                            // of verify; 0: as many as there are cores
   std::string listen = "tcp/127.0.0.1:7447";  // of publish
+  std::string network;                        // of publish: JSON5 of zenoh's own configuration, laid over ours; empty: none
   double speed = 1;
   double from = 0;  // s since the first tick
   bool loop = false;

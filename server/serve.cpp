@@ -8,6 +8,8 @@
 #include <cmath>
 #include <cstdio>
 #include <ctime>
+#include <deque>
+#include <iterator>
 #include <map>
 #include <optional>
 #include <set>
@@ -15,6 +17,7 @@
 #include <thread>
 
 #include "answer.h"
+#include "metrics.h"
 #include "recording.h"
 #include "schema/message_generated.h"
 #include "snapshot.h"
@@ -25,10 +28,18 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Messages that one tick takes; further ones wait in the transport's own bounded queues.
+// What one tick takes, so that no sender can make it long. Of each host the latest poses and the latest obstacles: that is all
+// the transport keeps between two ticks. Further messages wait in its own bounded queues.
 constexpr size_t inbox_limit = 20'000;
-constexpr uint32_t command_depth = 1'000;  // queries waiting
-constexpr uint32_t connect_ms = 10'000;    // until a router must have answered
+constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars have 200 kB
+// Queries wait in line, and a tick lets in as many as this pays for. A keyframe is copied and packed: some 20 us. A command may
+// copy a whole body (spawn, save, load), a query for an asset copies 4 MiB: some ms at 50,000 nodes.
+constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
+constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
+constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
+constexpr std::string_view asset_root = "crumple/1/asset/";
+constexpr std::string_view world_key = "replica/world";
+constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
 constexpr std::chrono::milliseconds look{1000};
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
@@ -62,8 +73,13 @@ struct Server {
   std::vector<std::shared_ptr<const Car>> cars;
   WorldHandle world;
   Net* net = nullptr;
+  std::string record;  // file
   std::optional<Recording> recording;
+  Metrics* metrics = nullptr;
   std::set<std::string, std::less<>> announced;  // cars
+  std::deque<Message> queries;                   // waiting; those for assets with their whole key
+  size_t queries_bytes = 0;                      // of them
+  uint64_t queries_refused = 0, samples_oversized = 0;
   Inbox inbox;
   Outbox outbox;
   Pace pace;
@@ -76,6 +92,7 @@ struct Server {
   explicit Server(const ServeOptions& o) : options(o) {}
   ~Server() {
     if (net) net_close(net);
+    metrics_close(metrics);
   }
 };
 
@@ -84,11 +101,12 @@ uint64_t wall_ns() {
       std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
 }
 
-std::string utc() {
+// strftime of now, UTC.
+std::string with_time(const std::string& pattern) {
   const std::time_t now = std::time(nullptr);
-  char text[32];
-  std::strftime(text, sizeof text, "%Y-%m-%dT%H:%M:%SZ", std::gmtime(&now));
-  return text;
+  char text[4096];
+  const size_t size = std::strftime(text, sizeof text, pattern.c_str(), std::gmtime(&now));
+  return size > 0 ? std::string(text, size) : pattern;
 }
 
 void need(int status) {
@@ -108,24 +126,43 @@ void start_world(Server& server) {
 void start_recording(Server& server) {
   const ServeOptions& options = server.options;
   if (options.record.empty()) return;
+  server.record = with_time(options.record);
   RecordingHead head;
   if (tick_count(*server.world) > 0) head.world = save_world(*server.world);
   head.scene = options.scene;
-  head.started = utc();
+  head.started = with_time("%Y-%m-%dT%H:%M:%SZ");
   head.rate = options.rate;
   head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
   head.cars = server.cars;
-  server.recording.emplace(options.record, head);
+  server.recording.emplace(server.record, head);
+}
+
+// Whether one of the endpoints can be reached from another machine.
+bool is_public(std::string_view endpoints) {
+  while (!endpoints.empty()) {
+    const std::string_view one = endpoints.substr(0, endpoints.find(','));
+    const std::string_view address = one.substr(std::min(one.size(), one.find('/') + 1));
+    const bool here = one.starts_with("unixsock") || address.starts_with("127.") || address.starts_with("localhost:") ||
+                      address.starts_with("[::1]");
+    if (!here) return true;
+    endpoints.remove_prefix(std::min(endpoints.size(), one.size() + 1));
+  }
+  return false;
 }
 
 // Beside routers as a client of them: they route between clients, and between peers only where those know one another.
 void open_network(Server& server) {
   const ServeOptions& options = server.options;
-  if (options.connect.empty()) {
-    need(net_open("peer", options.listen.c_str(), nullptr, nullptr, 0, &server.net));
+  const char* network = options.network.empty() ? nullptr : options.network.c_str();
+  if (!options.connect.empty()) {
+    need(net_open("client", nullptr, options.connect.c_str(), network, connect_ms, &server.net));
   } else {
-    need(net_open("client", nullptr, options.connect.c_str(), nullptr, connect_ms, &server.net));
+    if (!network && is_public(options.listen))
+      std::fprintf(stderr, "crumple serve: whoever reaches %s may command this scene; --network FILE says who may\n",
+                   options.listen.c_str());
+    need(net_open("peer", options.listen.c_str(), nullptr, network, 0, &server.net));
   }
+  if (!options.metrics.empty()) need(metrics_open(options.metrics.c_str(), &server.metrics));
 }
 
 void watch_owners(Server& server, const NetEvent& event) {
@@ -160,8 +197,8 @@ void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0));
   for (const char* what : {"car/*", "car/*/key", "replica/world"})
-    need(net_queryable(server.net, (server.root + what).c_str(), command_depth));
-  need(net_queryable(server.net, "crumple/1/asset/*", command_depth));
+    need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
+  need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
   need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
   need(net_announce(server.net, (server.root + "server").c_str()));
   for (const std::string& car : cars(*server.world)) {
@@ -170,35 +207,75 @@ void open_scene(Server& server) {
   }
 }
 
-void take(Server& server, const NetEvent& event) {
-  const std::string_view key = event.key;
-  if (event.kind == NET_QUERY && key.starts_with("crumple/1/asset/")) return answer_asset(server.net, event, server.cars);
-  if (!key.starts_with(server.root)) return;
-  if (event.kind == NET_QUERY && key.ends_with("/replica/world"))
-    return server.world_answers.answer(server.net, event, *server.world);
-  if (event.kind != NET_SAMPLE && event.kind != NET_QUERY) return watch_owners(server, event);
-  Message message;
-  message.key = key.substr(server.root.size());
-  const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
-  message.bytes.assign(bytes, bytes + event.size);
-  message.ticket = event.kind == NET_QUERY ? event.ticket : 0;
-  server.inbox.push_back(std::move(message));
+void refuse_query(Server& server, uint64_t ticket) {
+  constexpr std::string_view sentence = "too many questions wait here: ask again later";
+  ++server.queries_refused;
+  net_reply(server.net, ticket, sentence.data(), sentence.size(), 1);
 }
 
-// Takes in what arrives until the tick is due.
-void collect(Server& server, Clock::time_point due, const std::atomic<bool>& stop) {
-  NetEvent events[256];
-  while (!stop) {
-    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(due - Clock::now());
-    if (server.inbox.size() >= inbox_limit) {
-      if (left.count() > 0) std::this_thread::sleep_for(left);
-      return;
+void take(Server& server, const NetEvent& event) {
+  std::string_view key = event.key ? event.key : "";
+  const bool query = event.kind == NET_QUERY;
+  if (!query && event.kind != NET_SAMPLE) return watch_owners(server, event);
+  if (key.starts_with(server.root))
+    key.remove_prefix(server.root.size());
+  else if (!query || !key.starts_with(asset_root))
+    return;
+  const bool full = server.queries.size() >= query_limit || server.queries_bytes + event.size > query_bytes_limit;
+  if (query && full) return refuse_query(server, event.ticket);
+  if (!query && event.size > sample_limit) {
+    ++server.samples_oversized;
+    return;
+  }
+  Message message;
+  message.key = key;
+  const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
+  message.bytes.assign(bytes, bytes + event.size);
+  if (query) {
+    message.ticket = event.ticket;
+    server.queries_bytes += message.bytes.size();
+    server.queries.push_back(std::move(message));
+  } else {
+    server.inbox.push_back(std::move(message));
+  }
+}
+
+// The queries that this tick pays for, before its samples: who spawns a car and moves it at once is understood.
+void admit_queries(Server& server) {
+  Inbox admitted;
+  for (int left = queries_pay; !server.queries.empty(); server.queries.pop_front()) {
+    Message& next = server.queries.front();
+    left -= next.key.ends_with("/key") ? keyframe_costs : other_query_costs;
+    if (left < 0) break;
+    server.queries_bytes -= next.bytes.size();
+    if (next.key.starts_with(asset_root) || next.key == world_key) {
+      const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
+      const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
+      if (next.key == world_key)
+        server.world_answers.answer(server.net, query, *server.world);
+      else
+        answer_asset(server.net, query, server.cars);
+    } else {
+      admitted.push_back(std::move(next));
     }
-    const int got = net_poll(server.net, events, 256, left.count() > 0 ? static_cast<uint64_t>(left.count()) : 0);
+  }
+  server.inbox.insert(server.inbox.begin(), std::make_move_iterator(admitted.begin()), std::make_move_iterator(admitted.end()));
+}
+
+// What has come when the tick is due. Nothing is taken before: until then the transport lets a host's newer message replace its
+// older one, so that a host that sends faster than the ticks costs no more than one that does not.
+void collect(Server& server, Clock::time_point due) {
+  std::this_thread::sleep_until(due);
+  NetEvent events[256];
+  size_t total = 0;
+  int got = 0;
+  do {
+    got = net_poll(server.net, events, 256, 0);
     need(got);
     for (int i = 0; i < got; ++i) take(server, events[i]);
-    if (Clock::now() >= due && got < 256) return;
-  }
+    total += static_cast<size_t>(got);
+  } while (got == 256 && total < inbox_limit);
+  admit_queries(server);
 }
 
 // Viewers learn from its token that a car lives. A car shows itself by its first keyframe, and goes by a Despawn that was
@@ -262,9 +339,13 @@ void publish_health(Server& server) {
                                  {"sent_dropped", stats.put_dropped},
                                  {"received", stats.received},
                                  {"received_bytes", stats.received_bytes},
-                                 {"received_dropped", stats.received_dropped + stats.queries_refused},
+                                 {"received_dropped", stats.received_dropped},
                                  {"replaced", stats.replaced},
+                                 {"oversized", server.samples_oversized},
+                                 {"queries_waiting", server.queries.size(), query_limit},
+                                 {"queries_refused", stats.queries_refused + server.queries_refused},
                                  {"recording_lost", server.recording ? server.recording->lost() : 0}});
+  if (server.metrics) metrics_set(server.metrics, metrics_page(report, server.options.scene).c_str());
   publish(server, report);
   if (server.recording) server.recording->output(tick_count(*server.world), report, wall_ns());
   if (isatty(STDOUT_FILENO)) {
@@ -295,7 +376,7 @@ void run(Server& server, const std::atomic<bool>& stop) {
   uint64_t told = 0;
   while (!stop && !server.replaced &&
          (server.options.seconds <= 0 || std::chrono::duration<double>(due - begun).count() <= server.options.seconds)) {
-    collect(server, due, stop);
+    collect(server, due);
     if (stop || server.replaced) break;
     const auto now = Clock::now();
     if (now > due + slack) {
@@ -325,7 +406,7 @@ int finish(Server& server) {
     std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(lost));
   if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
   if (lost > 0 || !trouble.empty() || server.replaced) return 1;
-  std::printf("recorded %s\n", server.options.record.c_str());
+  std::printf("recorded %s\n", server.record.c_str());
   return 0;
 }
 
@@ -337,14 +418,21 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   server.pace.limit = 1e-3 * options.budget_ms;
   start_world(server);
-  open_network(server);
+  if (!options.check) open_network(server);
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(),
-              options.connect.empty() ? net_endpoint(server.net) : options.connect.c_str(), options.rate, server.threads,
-              server.threads == 1 ? "" : "s");
+              !options.connect.empty() ? options.connect.c_str()
+              : server.net             ? net_endpoint(server.net)
+                                       : options.listen.c_str(),
+              options.rate, server.threads, server.threads == 1 ? "" : "s");
   for (const auto& car : server.cars)
     std::printf("car %s  %s  %zu nodes  %zu vertices  %zu coarser levels: %s\n", car->hash.c_str(), car->name.c_str(),
                 car->model.node.size(), car->model.vertex.size(), coarser_levels(*server.world, car->hash),
                 car->attribution.c_str());
+  if (server.metrics) std::printf("metrics at http://%s/metrics\n", metrics_address(server.metrics));
+  if (options.check) {
+    std::printf("the configuration is good\n");
+    return 0;
+  }
   if (options.standby) std::printf("stands by for the server of scene %s\n", options.scene.c_str());
   std::fflush(stdout);
   if (!become_owner(server, stop)) return 0;

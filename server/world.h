@@ -62,7 +62,11 @@ uint64_t tick_count(const World&);
 void set_clock(World&, std::function<double()> clock);
 // Health (key "health"): times of the ticks since the last call, counts and refusals since the start. late: ticks that the
 // caller could not start in time. more_counts: the caller's own, such as what the transport dropped.
-Message health(World&, uint64_t late, const std::vector<std::pair<std::string, uint64_t>>& more_counts);
+struct MoreCount {
+  std::string name;
+  uint64_t value, limit = 0;  // limit 0: none
+};
+Message health(World&, uint64_t late, const std::vector<MoreCount>& more_counts);
 // Refusals since the start, and the sentence of the last one: for the log of whoever runs the server.
 uint64_t refusal_count(const World&);
 const std::string& last_refusal(const World&);

@@ -263,7 +263,7 @@ TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
 }
 
 TEST(Client, ASessionWithoutAServerSaysWhatToDo) {
-  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 50, "tcp/127.0.0.1:1", "main", nullptr, nullptr};
   Crumple* session = nullptr;
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_CLOSED);
   EXPECT_EQ(session, nullptr);
@@ -272,7 +272,7 @@ TEST(Client, ASessionWithoutAServerSaysWhatToDo) {
 
 TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
   Crumple* session = nullptr;
-  CrumpleOptions options{CRUMPLE_CLIENT_VERSION + 1, 50, "tcp/127.0.0.1:1", "main", nullptr};
+  CrumpleOptions options{CRUMPLE_CLIENT_VERSION + 1, 50, "tcp/127.0.0.1:1", "main", nullptr, nullptr};
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
   options.version = CRUMPLE_CLIENT_VERSION;
   options.scene = "ma/in";
@@ -296,7 +296,7 @@ struct OwnServer {
     ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/server"), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);
-    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(opened), "main", nullptr};
+    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(opened), "main", nullptr, nullptr};
     Crumple* handle = nullptr;
     ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
     viewer.reset(handle);

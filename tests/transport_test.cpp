@@ -278,6 +278,29 @@ TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
   ASSERT_EQ(poll(server).size(), 1u);
 }
 
+TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
+  const Session server = open_peer(), client = open_client(server);
+  ASSERT_EQ(net_queryable(server.get(), "q/long", 100), TRANSPORT_OK);
+  ASSERT_EQ(ask(client, server, "q/long", "known", 0).size(), 2u);
+  const std::string data(size_t{60} << 20, 'x');  // four of them are 240 of 256 MiB
+  uint64_t ticket = 0;
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_TRUE(wait_until(client, [&] {
+      return net_get(client.get(), "q/long", data.data(), data.size(), 30000, &ticket) == TRANSPORT_OK;
+    })) << transport_error();
+    ASSERT_TRUE(wait_until(client, [&] {
+      const NetStats stats = stats_of(server);
+      return stats.queries + stats.queries_refused == 2u + i;
+    })) << i;
+  }
+  EXPECT_EQ(stats_of(server).queries_refused, 1u);
+  const std::vector<Kept> events = poll(server);
+  EXPECT_EQ(events.size(), 4u);
+  for (const Kept& event : events) EXPECT_EQ(net_reply(server.get(), event.ticket, "", 0, 0), TRANSPORT_OK);
+  EXPECT_EQ(collect(client, 10).size(), 10u) << "of each its answer and the end";
+  EXPECT_GE(ask(client, server, "q/long", "there is room again", 0).size(), 2u);
+}
+
 TEST(Net, AnswersEachTicketOnce) {
   const Session server = open_peer(), client = open_client(server);
   ASSERT_EQ(net_queryable(server.get(), "q/once", 4), TRANSPORT_OK);

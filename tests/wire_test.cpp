@@ -164,7 +164,7 @@ TEST(Decode, RefusesAnObstacleFieldByFieldAndNamesIt) {
   expect_refused<ObstacleList>(with(hull), Reason::bad_hull, "has 33 entries; a hull may have 32");
 }
 
-TEST(Decode, RefusesTooManyObstaclesAndTooManyHullPoints) {
+TEST(Decode, RefusesTooManyObstaclesAndHullsThatCostTooMuch) {
   std::vector<Thing> things(1000);
   for (uint32_t i = 0; i < 1000; ++i) things[i].id = i;
   expect_taken<ObstacleList>(host::obstacles(1, things));
@@ -179,6 +179,13 @@ TEST(Decode, RefusesTooManyObstaclesAndTooManyHullPoints) {
   for (uint32_t i = 0; i < hulls.size(); ++i) hulls[i].id = i;
   expect_refused<ObstacleList>(host::obstacles(1, hulls), Reason::too_many_obstacles,
                                "points of all hulls has 4128 entries; 4096");
+  // Every three points of a hull are tried: 32 points have 4960 threes, 8 points 56.
+  for (size_t k = 0; k < 32; ++k) hull.points[k] = {k < 16 ? 0.0f : 1.0f, float(k % 4), float(k / 4 % 4)};
+  hulls.assign(13, hull);
+  for (uint32_t i = 0; i < hulls.size(); ++i) hulls[i].id = i;
+  expect_refused<ObstacleList>(host::obstacles(1, hulls), Reason::too_many_obstacles, "hulls need 64480 threes");
+  hulls.pop_back();
+  expect_taken<ObstacleList>(host::obstacles(1, hulls));
 }
 
 TEST(Decode, RefusesASpawnFieldByFieldAndNamesIt) {

@@ -148,6 +148,20 @@ TEST(World, APoseOfAnUnknownCarOrOfAnotherHostsCarIsCountedAndSkipped) {
   EXPECT_EQ(scene.car("a").motion.pose.position.x(), 5);
 }
 
+TEST(World, WhoMayNotSpeakIsRefusedBeforeAnythingIsRead) {
+  Limits limits;
+  limits.hosts = 1;
+  Scene scene(box(), limits);
+  scene.spawn("a");
+  const Bytes nonsense(7);
+  scene.step({{"host/stranger/poses", nonsense}, {"host/stranger/obstacles", nonsense}});
+  EXPECT_EQ(scene.refused(Reason::unknown_host), 1u);
+  EXPECT_EQ(scene.refused(Reason::too_many_hosts), 1u);
+  EXPECT_EQ(scene.refused(Reason::malformed), 0u);
+  scene.step({{"host/game/poses", nonsense}, {"host/game/obstacles", nonsense}});
+  EXPECT_EQ(scene.refused(Reason::malformed), 2u);
+}
+
 TEST(World, ASequenceThatIsNotAboveTheLastIsDropped) {
   Scene scene;
   scene.spawn("a");

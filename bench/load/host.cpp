@@ -159,7 +159,7 @@ std::string car_id(char kind, uint32_t number) { return kind + std::to_string(nu
 
 void play_host(const HostTask& task, std::atomic<uint32_t>& ready, const std::atomic<bool>& go, const std::atomic<bool>& stop) {
   Host host{task, {}, {}, {}};
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, task.id.c_str()};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, task.id.c_str(), nullptr};
   need(crumple_open(&open, &host.session.handle));
   spawn(host);
   publish_walls(host);

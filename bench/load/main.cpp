@@ -216,7 +216,7 @@ struct Session {
 // What a viewer gets that comes when all is calm.
 void ask_for_truth(Stage& stage) {
   Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr, nullptr};
   if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
   std::vector<std::string> cars;
   for (uint32_t k = 0; k < stage.options.crashing; ++k) {
@@ -239,7 +239,7 @@ void ask_for_truth(Stage& stage) {
 void watch_over(Stage& stage) {
   const Options& options = stage.options;
   Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr, nullptr};
   if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
   const auto begun = Clock::now();
   stage.run.begin_ns = wall_ns();

@@ -34,7 +34,7 @@ int view(const ViewerTask& task) {
   std::signal(SIGTERM, [](int) { ended = true; });
   const uint64_t begun = wall_ns();
   Crumple* session = nullptr;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, nullptr};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, nullptr, nullptr};
   if (crumple_open(&open, &session) < 0) throw std::runtime_error(crumple_error());
   for (const std::string& car : task.cars)
     if (crumple_follow(session, car.c_str()) < 0) throw std::runtime_error(crumple_error());

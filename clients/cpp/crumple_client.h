@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 // Of all structs below; crumple_open refuses another.
-#define CRUMPLE_CLIENT_VERSION 2u
+#define CRUMPLE_CLIENT_VERSION 3u
 
 enum CrumpleStatus {
   CRUMPLE_OK = 0,
@@ -33,9 +33,10 @@ typedef struct Crumple Crumple;
 typedef struct CrumpleOptions {
   uint32_t version;     // CRUMPLE_CLIENT_VERSION
   uint32_t timeout_ms;  // for the connection and for each command; 0: 2000
-  const char* connect;  // "tcp/127.0.0.1:7447"
+  const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" where the server has a certificate
   const char* scene;
-  const char* host;  // the id under which this session moves cars; NULL: a viewer only
+  const char* host;     // the id under which this session moves cars; NULL: a viewer only
+  const char* network;  // JSON5 of zenoh's own configuration, laid over ours: TLS, user, password; NULL or "": none
 } CrumpleOptions;
 
 // Waits until the server of the scene is seen, at most timeout_ms.

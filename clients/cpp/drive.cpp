@@ -378,7 +378,8 @@ int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
   const schema::SceneT scene = read_scene(options.file);
   Run run{options, scene, stop, {}};
   run.rate = options.rate > 0 ? options.rate : scene.rate;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000, options.connect.c_str(), options.scene.c_str(), options.host.c_str()};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000, options.connect.c_str(), options.scene.c_str(), options.host.c_str(),
+                            options.network.c_str()};
   need(crumple_open(&open, &run.session.handle));
   const Vector3d center = begin(run);
   const bool keep_publishing = !moving_obstacles(scene);

@@ -10,6 +10,7 @@ namespace crumple::client {
 struct DriveOptions {
   std::string file;  // the scene
   std::string connect = "tcp/127.0.0.1:7447";
+  std::string network;         // as CrumpleOptions.network; empty: none
   std::string scene = "main";  // of the server
   std::string host = "drive";
   std::string id = "car";  // of the car that it spawns

@@ -349,11 +349,12 @@ void doubt_after_a_pause(Crumple& session) {
 bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
 // Subscriptions and the wait for the server; throws nothing, leaves the error behind.
-int begin(Crumple& session, const char* connect) {
+int begin(Crumple& session, const char* connect, const char* network) {
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
-  if (net_open("client", nullptr, connect, nullptr, timeout, &session.net) != 0)
-    return fail(CRUMPLE_CLOSED,
-                std::string("cannot reach ") + connect + " (" + transport_error() + "): is `crumple serve` running there?");
+  if (net_open("client", nullptr, connect, network, timeout, &session.net) != 0)
+    return fail(CRUMPLE_CLOSED, std::string("cannot reach ") + connect + " (" + transport_error() +
+                                    "): is `crumple serve` running there" +
+                                    (network ? ", and does it know this user and certificate?" : "?"));
   const std::string server = session.root + "server", health = session.root + "health";
   if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
@@ -399,6 +400,9 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
     return fail(CRUMPLE_BAD_ARGUMENT, "options.connect is missing: give an endpoint such as tcp/127.0.0.1:7447");
   if (!is_id(options->scene) || (options->host && !is_id(options->host)))
     return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  const char* network = options->network && *options->network ? options->network : nullptr;
+  if (network && net_check(network) != 0)
+    return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());
   auto* session = new Crumple;
   session->root = std::string("crumple/1/") + options->scene + "/";
   session->host = options->host ? options->host : "";
@@ -406,7 +410,7 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
   // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
   session->sequence = static_cast<uint64_t>(
       std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
-  if (const int status = begin(*session, options->connect); status != CRUMPLE_OK) {
+  if (const int status = begin(*session, options->connect, network); status != CRUMPLE_OK) {
     const std::string sentence = last_error;
     crumple_close(session);
     return fail(status, sentence);

@@ -88,7 +88,8 @@ void write_obj(Crumple* session, const std::string& id, const std::string& path)
 
 int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
   Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000, options.connect.c_str(), options.scene.c_str(), nullptr};
+  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000,    options.connect.c_str(),
+                            options.scene.c_str(),  nullptr, options.network.c_str()};
   need(crumple_open(&open, &session.handle));
   need(crumple_follow(session.handle, options.car.empty() ? nullptr : options.car.c_str()));
 

@@ -9,6 +9,7 @@ namespace crumple::client {
 
 struct WatchOptions {
   std::string connect = "tcp/127.0.0.1:7447";
+  std::string network;  // as CrumpleOptions.network; empty: none
   std::string scene = "main";
   std::string car;     // empty: all
   bool once = false;   // prints and ends as soon as a surface is held

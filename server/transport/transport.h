@@ -1,4 +1,5 @@
-// The C door to the only Rust of the project: zenoh sessions and MCAP files. Nothing here knows what the bytes mean.
+// The C door to the only Rust of the project: zenoh sessions, MCAP files, a page for Prometheus. Nothing here knows what the
+// bytes mean.
 // Pull-based: no callback ever runs on the caller's side; no function but net_poll, net_open and net_close waits.
 // Functions that return int give 0, or a negative Status; transport_error() then has the sentence.
 #pragma once
@@ -33,6 +34,8 @@ typedef struct Net Net;
 // batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns
 // its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
 int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
+// Whether zenoh would take this configuration (JSON5, not NULL); opens nothing.
+int net_check(const char* config);
 // The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or "" if none.
 const char* net_endpoint(const Net*);
 // Undeclares everything, joins all threads.
@@ -45,8 +48,8 @@ enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };
 int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriority priority);
 
 // depth 0: latest only, per key (an older sample that was not yet polled is replaced, and counted in NetStats.replaced).
-// Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, new ones are dropped and
-// counted.
+// Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, or beyond 256 MiB of all
+// that waits in this session, new ones are dropped and counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused.
 int net_queryable(Net*, const char* key_expression, uint32_t depth);
@@ -88,6 +91,18 @@ typedef struct NetStats {
   uint64_t queries, queries_refused;
 } NetStats;
 void net_stats(const Net*, NetStats* out);
+
+// ---- metrics --------------------------------------------------------------------------------------------------------------
+
+typedef struct Metrics Metrics;
+
+// Listens on "HOST:PORT" (port 0: any free one) and answers GET /metrics with the page that was set last; anything else is
+// answered with 404. Threads of its own do it: metrics_set only copies.
+int metrics_open(const char* address, Metrics** out);
+// "127.0.0.1:9464", resolved.
+const char* metrics_address(const Metrics*);
+int metrics_set(Metrics*, const char* page);
+void metrics_close(Metrics*);
 
 // ---- recordings: MCAP 0.26 ------------------------------------------------------------------------------------------------
 

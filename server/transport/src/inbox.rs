@@ -1,6 +1,6 @@
 //! What has arrived and was not polled yet. zenoh's threads push, one poller takes, both briefly. Every source (a
 //! subscription, a queryable, ...) has its own bound: a queue that refuses what is new, or one slot a key in which the newer
-//! replaces the older (zenoh has no such conflation). Events leave in the order in which they came.
+//! replaces the older (zenoh has no such conflation). All together have one bound in bytes. Events leave in the order in which they came.
 
 use crate::bytes::Aligned;
 use std::collections::{BTreeMap, HashMap};
@@ -36,6 +36,9 @@ pub const REPLIES: SourceId = 0;
 /// Keys that may wait in one latest-only subscription: a peer that invents keys must not fill the memory.
 const MAX_LATEST_KEYS: usize = 4096;
 
+/// Bytes of all that waits, four of the longest messages: nor must one that sends long messages.
+const MAX_BYTES: usize = 256 << 20;
+
 struct Source {
     depth: usize, // 0: latest only
     waiting: usize,
@@ -52,7 +55,20 @@ impl Source {
 struct State {
     next: u64,
     waiting: BTreeMap<u64, (SourceId, Event)>,
+    bytes: usize,
     sources: Vec<Source>,
+}
+
+impl State {
+    fn is_full(&self, source: SourceId, size: usize) -> bool {
+        self.sources[source].is_full() || self.bytes + size > MAX_BYTES
+    }
+}
+
+impl Event {
+    fn size(&self) -> usize {
+        self.data.as_slice().len()
+    }
 }
 
 /// What came, by fate. A sample or query is counted before the poller can see it.
@@ -76,7 +92,7 @@ impl Counts {
         match event.kind {
             Kind::Sample => {
                 self.received.fetch_add(1, Relaxed);
-                self.received_bytes.fetch_add(event.data.as_slice().len() as u64, Relaxed);
+                self.received_bytes.fetch_add(event.size() as u64, Relaxed);
             }
             Kind::Query => _ = self.queries.fetch_add(1, Relaxed),
             _ => {}
@@ -105,8 +121,8 @@ impl Inbox {
     }
 
     /// Tells before a copy is made whether it would be refused, and then counts it as such.
-    pub fn refuses(&self, source: SourceId, kind: Kind) -> bool {
-        let full = self.state.lock().unwrap().sources[source].is_full();
+    pub fn refuses(&self, source: SourceId, kind: Kind, size: usize) -> bool {
+        let full = self.state.lock().unwrap().is_full(source, size);
         if full {
             self.counts.refused(kind);
         }
@@ -117,7 +133,7 @@ impl Inbox {
     pub fn push(&self, source: SourceId, event: Event) -> bool {
         let mut state = self.state.lock().unwrap();
         // The end of the answers always passes: the asker waits for it, and there is one a question.
-        if state.sources[source].is_full() && event.kind != Kind::ReplyEnd {
+        if state.is_full(source, event.size()) && event.kind != Kind::ReplyEnd {
             self.counts.refused(event.kind);
             return false;
         }
@@ -133,11 +149,15 @@ impl Inbox {
         }
         state.next += 1;
         let replaced = older.and_then(|older| state.waiting.remove(&older));
-        match replaced {
-            Some(_) => _ = self.counts.replaced.fetch_add(1, Relaxed),
+        match &replaced {
+            Some((_, event)) => {
+                self.counts.replaced.fetch_add(1, Relaxed);
+                state.bytes -= event.size();
+            }
             None => state.sources[source].waiting += 1,
         }
         self.counts.taken(&event);
+        state.bytes += event.size();
         state.waiting.insert(number, (source, event));
         drop(state);
         self.arrived.notify_one();
@@ -153,6 +173,7 @@ impl Inbox {
         }
         while out.len() < most {
             let Some((_, (source, event))) = state.waiting.pop_first() else { break };
+            state.bytes -= event.size();
             let source = &mut state.sources[source];
             source.waiting -= 1;
             if source.depth == 0 {

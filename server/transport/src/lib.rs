@@ -5,6 +5,7 @@ mod bytes;
 mod config;
 mod fail;
 mod inbox;
+mod metrics;
 mod net;
 mod queue;
 mod reader;
@@ -12,6 +13,7 @@ mod recorder;
 
 use fail::{BAD_ARGUMENT, Fail};
 use mcap::records::MessageHeader;
+use metrics::Metrics;
 use net::Net;
 use reader::Reader;
 use recorder::{Item, Recorder};
@@ -122,6 +124,13 @@ pub unsafe extern "C" fn net_open(
         return done(Err(missing("out")));
     }
     unsafe { give(open(), out) }
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_check(config: *const c_char) -> c_int {
+    let endpoint = ["tcp/127.0.0.1:0"];
+    let check = || config::build("peer", &endpoint, &[], Some(unsafe { text(config, "config")? }), 0).map(drop);
+    done(check())
 }
 
 #[unsafe(no_mangle)]
@@ -273,6 +282,38 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         queries_refused: get(&came.queries_refused),
     };
     unsafe { out.write(view) };
+}
+
+// ---- metrics ----
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn metrics_open(address: *const c_char, out: *mut *mut Metrics) -> c_int {
+    if out.is_null() {
+        return done(Err(missing("out")));
+    }
+    let open = || Metrics::open(unsafe { text(address, "address")? });
+    unsafe { give(open(), out) }
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn metrics_address(metrics: *const Metrics) -> *const c_char {
+    unsafe { metrics.as_ref() }.map_or(c"".as_ptr(), |metrics| metrics.address().as_ptr())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn metrics_set(metrics: *mut Metrics, page: *const c_char) -> c_int {
+    let set = || unsafe {
+        borrow(metrics, "metrics")?.set(text(page, "page")?);
+        Ok(())
+    };
+    done(set())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn metrics_close(metrics: *mut Metrics) {
+    if !metrics.is_null() {
+        drop(unsafe { Box::from_raw(metrics) });
+    }
 }
 
 // ---- recorder ----

@@ -395,13 +395,13 @@ struct Asked {
 
 impl Asked {
     fn reply(&self, reply: &zenoh::query::Reply) {
-        if self.shared.inbox.refuses(REPLIES, Kind::Reply) {
-            return;
-        }
         let (failed, key, payload) = match reply.result() {
             Ok(sample) => (false, c_key(sample.key_expr()), sample.payload()),
             Err(error) => (true, self.key.clone(), error.payload()),
         };
+        if self.shared.inbox.refuses(REPLIES, Kind::Reply, payload.len()) {
+            return;
+        }
         let event = Event { kind: Kind::Reply, failed, key, data: aligned(payload), ticket: self.ticket };
         self.shared.inbox.push(REPLIES, event);
     }
@@ -422,7 +422,7 @@ impl Shared {
         // Nothing here deletes keys; a delete has no payload to hand on.
         if sample.kind() == SampleKind::Delete {
             self.inbox.counts.refused(Kind::Sample);
-        } else if !self.inbox.refuses(source, Kind::Sample) {
+        } else if !self.inbox.refuses(source, Kind::Sample, sample.payload().len()) {
             let (key, data) = (c_key(sample.key_expr()), aligned(sample.payload()));
             self.inbox.push(source, Event { kind: Kind::Sample, failed: false, key, data, ticket: 0 });
         }

@@ -1,0 +1,493 @@
+// What who runs a server relies on: its configuration, who is let in and to what, what it tells Prometheus, how it ends, and
+// that no sender can make its ticks long.
+#include <arpa/inet.h>
+#include <sys/socket.h>
+
+#include <cstdlib>
+#include <map>
+#include <regex>
+#include <sstream>
+
+#include "host.h"
+#include "program.h"
+#include "transport/transport.h"
+
+namespace crumple {
+namespace {
+
+using host::pose_at;
+
+struct CloseNet {
+  void operator()(Net* net) const { net_close(net); }
+};
+using Session = std::unique_ptr<Net, CloseNet>;
+
+std::string with(std::string text, const std::string& from, const std::string& to) {
+  EXPECT_NE(text.find(from), std::string::npos) << from;
+  for (size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) text.replace(at, from.size(), to);
+  return text;
+}
+
+std::string repository_file(const char* name) {
+  std::ifstream file(std::string(CRUMPLE_SOURCE_DIR "/") + name);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+class Operate : public Program {
+ protected:
+  // A session without the client library, which would keep to the rules.
+  Session open_raw(const std::string& network = "") const {
+    Net* net = nullptr;
+    EXPECT_EQ(net_open("client", nullptr, endpoint.c_str(), network.empty() ? nullptr : network.c_str(), 30'000, &net), 0)
+        << transport_error();
+    return Session(net);
+  }
+  // Polls until the condition holds; `see` gets every event.
+  static bool until_raw(const Session& net, const std::function<void(const NetEvent&)>& see,
+                        const std::function<bool()>& condition) {
+    const auto deadline = Clock::now() + patience;
+    NetEvent events[256];
+    while (!condition()) {
+      const int got = net_poll(net.get(), events, 256, 50'000);
+      if (got < 0 || Clock::now() > deadline) return false;
+      for (int i = 0; i < got; ++i) see(events[i]);
+    }
+    return true;
+  }
+  static int put(const Session& net, const char* key, const Bytes& bytes) {
+    return net_put(net.get(), key, bytes.data(), bytes.size(), NET_DATA);
+  }
+  // The next Health for which the condition holds; each count and refusal under its name.
+  static std::map<std::string, uint64_t> counts_when(const Session& net,
+                                                     const std::function<bool(std::map<std::string, uint64_t>&)>& condition) {
+    std::map<std::string, uint64_t> counts;
+    EXPECT_EQ(net_subscribe(net.get(), "crumple/1/main/health", 0), 0);
+    bool good = false;
+    const auto see = [&](const NetEvent& event) {
+      if (good || event.kind != NET_SAMPLE) return;
+      const auto* data = reinterpret_cast<const std::byte*>(event.data);
+      const Bytes bytes(data, data + event.size);
+      const auto* health = host::read_as<schema::Health>(bytes);
+      counts = {{"tick", health->tick()}};
+      for (const auto* count : *health->counts()) counts[count->name()->str()] = count->value();
+      for (const auto* count : *health->refusals()) counts["refused " + count->name()->str()] = count->value();
+      good = condition(counts);
+    };
+    EXPECT_TRUE(until_raw(net, see, [&] { return good; })) << "no such health came";
+    return counts;
+  }
+  // The messages of a recording by topic, and how many of each topic one tick had at most.
+  static std::map<std::string, std::pair<int, int>> topics(const std::string& recording) {
+    std::map<std::string, std::pair<int, int>> all;
+    std::map<std::string, std::map<uint32_t, int>> of_tick;
+    Reader* reader = nullptr;
+    EXPECT_EQ(reader_open(recording.c_str(), &reader), 0) << transport_error();
+    for (ReaderMessage message; reader_next(reader, &message) == 1;) {
+      auto& [sum, most] = all[message.topic];
+      ++sum;
+      most = std::max(most, ++of_tick[message.topic][message.sequence]);
+    }
+    reader_close(reader);
+    return all;
+  }
+};
+
+// ---- configuration ----------------------------------------------------------------------------------------------------------
+
+TEST_F(Operate, OptionsComeFromAFileAndFlagsStand) {
+  const std::string file = write("server.toml", "# two of our own\ncar = [\"" + car_file.string() +
+                                                    "\"]\nlisten = \"tcp/127.0.0.1:0\"\nrate = 30\nthreads = 2\n");
+  start({"serve", "--config", file, "--rate", "90"});
+  EXPECT_NE(server->text.find("90 ticks a second, 2 threads"), std::string::npos) << server->text;
+  // Nothing is opened: not even the port that the server above listens on.
+  const Outcome checked = run({"serve", "--config", file, "--listen", endpoint, "--check-config"});
+  EXPECT_EQ(checked.code, 0) << checked.text;
+  EXPECT_NE(checked.text.find("30 ticks a second, 2 threads"), std::string::npos) << checked.text;
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+}
+
+TEST_F(Operate, PrintedOptionsAreAFileThatSaysTheSame) {
+  const Outcome printed = run({"serve", "--car", car_file.string(), "--rate", "90", "--print-config"});
+  EXPECT_EQ(printed.code, 0) << printed.text;
+  EXPECT_NE(printed.text.find("# ticks a second\nrate=90\n"), std::string::npos) << printed.text;
+  const std::string help = run({"serve", "--help"}).text;
+  const std::regex option("\\n +(?:-h,)?--([a-z-]+)");
+  int options = 0;
+  for (std::sregex_iterator i(help.begin(), help.end(), option), end; i != end; ++i) {
+    const std::string name = (*i)[1];
+    if (name == "help" || name.ends_with("config")) continue;
+    EXPECT_NE(printed.text.find("\n" + name + "="), std::string::npos) << name << " is not printed\n" << printed.text;
+    ++options;
+  }
+  EXPECT_GE(options, 11) << help;
+  const std::string file = write("printed.toml", printed.text);
+  EXPECT_EQ(run({"serve", "--config", file, "--print-config"}).text, printed.text);
+  EXPECT_EQ(run({"serve", "--config", file, "--check-config"}).code, 0);
+}
+
+TEST_F(Operate, AWrongConfigurationIsRefusedWithFileFactAndRemedy) {
+  const std::string car = "car = \"" + car_file.string() + "\"\n", network = path("network.json5");
+  struct Case {
+    std::string text, network, fact;
+  };
+  for (const Case& wrong : {Case{car + "nosuch = 1\n", "", "nosuch"},
+                            {car + "[serve]\nrate = 30\n", "", "serve."},
+                            {car + "rate = fast\n", "", "--rate"},
+                            {car + "rate = 0\n", "", "--rate"},
+                            {car + "config = \"other.toml\"\n", "", "config"},
+                            {"rate = 30\n", "", "--car"},
+                            {car + "network = \"nowhere.json5\"\n", "", "nowhere.json5"},
+                            {car + "network = \"" + network + "\"\n", "{ not json", "network.json5"},
+                            {car + "network = \"" + network + "\"\n", "{ nosuchkey: 1 }", "network.json5"}}) {
+    write("network.json5", wrong.network);
+    const Outcome outcome = run({"serve", "--config", write("wrong.toml", wrong.text), "--check-config"});
+    EXPECT_EQ(outcome.code, 2) << wrong.text << outcome.text;
+    for (const std::string& part : {std::string("wrong.toml"), wrong.fact, std::string("--print-config")})
+      EXPECT_NE(outcome.text.find(part), std::string::npos) << part << "\n" << outcome.text;
+  }
+  const Outcome missing = run({"serve", "--config", path("missing.toml")});
+  EXPECT_EQ(missing.code, 2);
+  EXPECT_NE(missing.text.find("missing.toml"), std::string::npos) << missing.text;
+  const Outcome no_car = run({"serve", "--car", write("no.car", "not a car"), "--check-config"});
+  EXPECT_EQ(no_car.code, 1);
+  EXPECT_NE(no_car.text.find("no.car"), std::string::npos) << no_car.text;
+  const Outcome watch = run({"watch", "--network", path("missing.json5")});
+  EXPECT_EQ(watch.code, 2);
+  EXPECT_NE(watch.text.find("missing.json5"), std::string::npos) << watch.text;
+}
+
+// ---- who is let in, and to what ---------------------------------------------------------------------------------------------
+
+class Guarded : public Operate {
+ protected:
+  // An authority, another one, and certificates of the first.
+  void SetUp() override {
+    Operate::SetUp();
+    std::ostringstream script;
+    script << "set -e; cd " << folder.string() << "; exec >openssl.log 2>&1\n"
+           << "new='-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes'\n"
+           << "for ca in ca other; do openssl req -x509 $new -days 2 -subj /CN=$ca -keyout $ca.key -out $ca.pem; done\n"
+           << "echo 'subjectAltName=DNS:localhost,IP:127.0.0.1' >names\n"
+           << "for one in server:ca game:ca player:ca game2:other; do\n"
+           << "  name=${one%:*} ca=${one#*:}\n"
+           << "  openssl req -new $new -subj /CN=${name%2} -keyout $name.key -out $name.csr\n"
+           << "  openssl x509 -req -in $name.csr -CA $ca.pem -CAkey $ca.key -CAcreateserial -days 2 -extfile names -out "
+              "$name.pem\n"
+           << "done\n";
+    write("certificates", script.str());
+    ASSERT_EQ(std::system(("sh " + path("certificates")).c_str()), 0) << "needs openssl; " << path("openssl.log");
+    write("users", "game:dent-1\nplayer:look-1\n");
+  }
+
+  // The examples of the repository, with this folder's files.
+  std::string server_network() const { return with(repository_file("server/network.json5"), "/etc/crumple", folder.string()); }
+  std::string client_network() const { return with(repository_file("clients/network.json5"), "/etc/crumple", folder.string()); }
+  std::string user(const std::string& name, const std::string& password) const {
+    return with(with(client_network(), "\"player\"", "\"" + name + "\""), "as in the server's file of users", password);
+  }
+  std::string nobody() const { return with(client_network(), "    auth: {", "    // auth: {"); }
+  std::string certificate(const std::string& name) const {
+    const std::string shown = with(nobody(), "// enable_mtls", "enable_mtls");
+    return with(with(shown, "player.key", name + ".key"), "player.pem", name + ".pem");
+  }
+  void start_guarded(const std::string& network) {
+    start({"serve", "--car", car_file.string(), "--listen", "tls/127.0.0.1:0", "--threads", "2", "--record",
+           path("guarded.mcap"), "--network", write("server.json5", network)});
+    ASSERT_EQ(endpoint.substr(0, 4), "tls/") << server->text;
+  }
+
+  void expect_refused(const std::string& at, const std::string& network, const char* who) const {
+    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 500, at.c_str(), "main", "game", network.c_str()};
+    Crumple* session = nullptr;
+    EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_CLOSED) << who << " was let in";
+    EXPECT_NE(std::string(crumple_error()).find("cannot reach"), std::string::npos)
+        << who << " has a connection, and is only told nothing: " << crumple_error();
+    crumple_close(session);
+  }
+
+  // The host dents its car; a player sees that, and whatever else it sends changes nothing.
+  void play(const std::string& game, const std::string& player) {
+    Crumple* host = open("game", game);
+    ASSERT_NE(host, nullptr);
+    ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+    spawn(host);
+    crash(host);
+    if (HasFatalFailure()) return;
+    Crumple* viewer = open(nullptr, player);
+    ASSERT_NE(viewer, nullptr);
+    ASSERT_EQ(crumple_follow(viewer, nullptr), CRUMPLE_OK);
+    EXPECT_TRUE(until(viewer, [&] { return hash_held(host) != 0 && hash_held(viewer) == hash_held(host); }));
+    CrumpleMesh mesh{};
+    EXPECT_TRUE(until(viewer, [&] { return crumple_mesh(viewer, asset.c_str(), &mesh) == CRUMPLE_OK; }));
+
+    const Session intruder = open_raw(player);
+    const Bytes order = host::despawn();
+    uint64_t ticket = 0;
+    bool ended = false;
+    ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box", order.data(), order.size(), 1000, &ticket), 0);
+    ASSERT_TRUE(until_raw(
+        intruder, [&](const NetEvent& event) { ended |= event.kind == NET_REPLY_END && event.ticket == ticket; },
+        [&] { return ended; }));
+    for (uint64_t i = 1; i <= 20; ++i) {
+      put(intruder, "crumple/1/main/host/game/poses", host::poses(uint64_t{1} << 62, {{"box", pose_at(500)}}));
+      put(intruder, "crumple/1/main/host/intruder/obstacles", host::obstacles(i, {{}}));
+    }
+    // What comes after all of this over the same link has been let through, so that would have been, too.
+    ended = false;
+    ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box/key", nullptr, 0, 30'000, &ticket), 0);
+    ASSERT_TRUE(until_raw(
+        intruder, [&](const NetEvent& event) { ended |= event.kind == NET_REPLY && !event.failed; }, [&] { return ended; }));
+    CrumpleSurface surface{};
+    ASSERT_EQ(crumple_surface(host, "box", &surface), CRUMPLE_OK);
+    EXPECT_TRUE(surface.alive);
+
+    // A host must not speak in another's name either.
+    const Session other = open_raw(game);
+    put(other, "crumple/1/main/host/intruder/obstacles", host::obstacles(1, {{}}));
+    uint64_t answered = 0;
+    CrumpleParameters keep = crumple_keep();
+    EXPECT_TRUE(answer(host, crumple_set_parameters(host, "box", &keep, &answered), answered).ok);
+
+    server->send(SIGTERM);
+    EXPECT_EQ(server->wait(), 0) << server->text;
+    auto seen = topics(path("guarded.mcap"));
+    EXPECT_EQ(seen["crumple/1/main/host/game/poses"].first, 1) << "the host's own";
+    EXPECT_EQ(seen.count("crumple/1/main/host/intruder/obstacles"), 0u);
+    EXPECT_EQ(seen["crumple/1/main/car/box"].first, 2) << "spawn and parameters";
+  }
+};
+
+TEST_F(Guarded, PasswordsLetAHostDriveAndAPlayerOnlyWatch) {
+  start_guarded(server_network());
+  expect_refused(endpoint, user("game", "wrong"), "a wrong password");
+  expect_refused(endpoint, user("nobody", "dent-1"), "a user that is not in the file");
+  expect_refused(endpoint, nobody(), "no user");
+  expect_refused(endpoint, with(user("game", "dent-1"), "ca.pem", "other.pem"), "a server of another authority");
+  expect_refused("tcp" + endpoint.substr(3), "", "no TLS");
+  play(user("game", "dent-1"), user("player", "look-1"));
+}
+
+TEST_F(Guarded, CertificatesLetAHostDriveAndAPlayerOnlyWatch) {
+  std::string network = with(server_network(), "// enable_mtls", "enable_mtls");
+  network = with(with(network, "    auth: {", "    // auth: {"), "usernames", "cert_common_names");
+  start_guarded(network);
+  expect_refused(endpoint, nobody(), "no certificate");
+  expect_refused(endpoint, certificate("game2"), "a certificate of another authority");
+  play(certificate("game"), certificate("player"));
+}
+
+TEST_F(Operate, ListeningToStrangersIsSaidAloud) {
+  server =
+      std::make_unique<Process>(std::vector<std::string>{"serve", "--car", car_file.string(), "--listen", "tcp/0.0.0.0:0"});
+  EXPECT_TRUE(server->read_until("ticks a second")) << server->text;
+  EXPECT_NE(server->text.find("--network"), std::string::npos) << server->text;
+  server =
+      std::make_unique<Process>(std::vector<std::string>{"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0"});
+  EXPECT_TRUE(server->read_until("ticks a second")) << server->text;
+  EXPECT_EQ(server->text.find("--network"), std::string::npos) << server->text;
+}
+
+// ---- metrics ----------------------------------------------------------------------------------------------------------------
+
+int connect_to(const std::string& address) {
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  const size_t colon = address.find(':');
+  to.sin_port = htons(static_cast<uint16_t>(std::stoi(address.substr(colon + 1))));
+  EXPECT_EQ(inet_pton(AF_INET, address.substr(0, colon).c_str(), &to.sin_addr), 1) << address;
+  const int socket = ::socket(AF_INET, SOCK_STREAM, 0);
+  EXPECT_EQ(connect(socket, reinterpret_cast<const sockaddr*>(&to), sizeof to), 0) << address;
+  return socket;
+}
+
+// The whole answer, head and body.
+std::string get(const std::string& address, const std::string& what) {
+  const int socket = connect_to(address);
+  const std::string request = "GET " + what + " HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n";
+  EXPECT_EQ(send(socket, request.data(), request.size(), 0), ssize_t(request.size()));
+  std::string text;
+  char chunk[4096];
+  for (ssize_t size; (size = recv(socket, chunk, sizeof chunk, 0)) > 0;) text.append(chunk, static_cast<size_t>(size));
+  close(socket);
+  return text;
+}
+
+// Every line of the format is a comment or a sample; a sample's metric has its HELP and TYPE before it.
+std::map<std::string, double> parse(const std::string& answer) {
+  std::map<std::string, double> samples;
+  std::map<std::string, int> told;
+  std::istringstream lines(answer.substr(answer.find("\r\n\r\n") + 4));
+  const std::regex comment("# (HELP|TYPE) (crumple_[a-z_]+) .+"), sample("(crumple_[a-z_]+)(\\{[^}]*\\})? ([0-9.e+-]+)");
+  for (std::string line; std::getline(lines, line);) {
+    std::smatch match;
+    if (std::regex_match(line, match, comment)) {
+      ++told[match[2]];
+    } else if (std::regex_match(line, match, sample)) {
+      EXPECT_EQ(told[match[1]], 2) << line;
+      EXPECT_TRUE(samples.emplace(match[1].str() + match[2].str(), std::stod(match[3])).second) << line << " twice";
+    } else {
+      ADD_FAILURE() << "not of the text format: " << line;
+    }
+  }
+  return samples;
+}
+
+TEST_F(Operate, PrometheusReadsWhatHealthSays) {
+  start_server(path("metrics.mcap"), {"--metrics", "127.0.0.1:0"});
+  ASSERT_TRUE(server->read_until("/metrics\n")) << server->text;
+  const size_t at = server->text.find("http://") + 7;
+  const std::string address = server->text.substr(at, server->text.find("/metrics", at) - at);
+  const int silent = connect_to(address);  // one that asks nothing keeps nobody waiting
+
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  CrumpleSpawn again{};
+  again.pose.orientation[3] = 1;
+  uint64_t ticket = 0;
+  EXPECT_FALSE(answer(host, crumple_spawn(host, "box", asset.c_str(), &again, &ticket), ticket).ok);
+
+  // The page is set with every Health; where its tick is the same, so must all counts be.
+  const Session net = open_raw();
+  std::string page;
+  std::map<std::string, double> metrics;
+  const auto counts = counts_when(net, [&](std::map<std::string, uint64_t>& health) {
+    if (health["refused already_there"] == 0) return false;
+    page = get(address, "/metrics");
+    metrics = parse(page);
+    return metrics["crumple_ticks_total"] == double(health["tick"]);
+  });
+  EXPECT_TRUE(page.starts_with("HTTP/1.1 200 OK\r\n")) << page;
+  EXPECT_NE(page.find("Content-Type: text/plain; version=0.0.4"), std::string::npos) << page;
+  size_t listed = 0, shown = 0;
+  for (const auto& [name, value] : counts) listed += name != "tick" && !name.starts_with("refused ");
+  for (const auto& [name, value] : metrics) shown += name.find('{') == name.npos && !name.ends_with("_limit");
+  EXPECT_EQ(shown, listed + 3) << "a count of health is not on the page, which has ticks, late ticks and rate besides";
+  EXPECT_EQ(metrics["crumple_info{scene=\"main\",version=\"0.1.0\"}"], 1) << page;
+  EXPECT_EQ(metrics["crumple_cars"], 1);
+  EXPECT_EQ(metrics["crumple_cars_limit"], 1000);
+  EXPECT_EQ(metrics["crumple_obstacles"], 1);
+  EXPECT_EQ(metrics["crumple_ticks_per_second"], 60);
+  EXPECT_EQ(metrics["crumple_refusals_total{reason=\"already_there\"}"], 1);
+  EXPECT_EQ(metrics["crumple_refusals_total{reason=\"malformed\"}"], 0);
+  EXPECT_GT(metrics["crumple_room_mean_seconds{room=\"tick\"}"], 0);
+  EXPECT_GE(metrics["crumple_room_worst_seconds{room=\"tick\"}"], metrics["crumple_room_mean_seconds{room=\"tick\"}"]);
+  EXPECT_EQ(metrics["crumple_messages_total"], double(counts.at("messages")));
+  EXPECT_EQ(metrics["crumple_sent_bytes_total"], double(counts.at("sent_bytes")));
+  size_t refusals = 0;
+  for (const auto& [name, value] : counts) {
+    if (!name.starts_with("refused ")) continue;
+    EXPECT_EQ(metrics["crumple_refusals_total{reason=\"" + name.substr(8) + "\"}"], double(value)) << name;
+    ++refusals;
+  }
+  EXPECT_GT(refusals, 10u);
+
+  EXPECT_TRUE(get(address, "/").starts_with("HTTP/1.1 404")) << get(address, "/");
+  close(silent);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const Outcome taken = run({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0", "--metrics", "nonsense"});
+  EXPECT_EQ(taken.code, 1);
+  EXPECT_NE(taken.text.find("HOST:PORT"), std::string::npos) << taken.text;
+}
+
+TEST_F(Operate, TheDashboardAsksForMetricsThatThereAre) {
+  start_server(path("dashboard.mcap"), {"--metrics", "127.0.0.1:0"});
+  ASSERT_TRUE(server->read_until("/metrics\n")) << server->text;
+  const size_t at = server->text.find("http://") + 7;
+  const std::string address = server->text.substr(at, server->text.find("/metrics", at) - at);
+  std::string page;
+  ASSERT_TRUE(until(open(), [&] { return (page = get(address, "/metrics")).find("crumple_ticks_total ") != page.npos; }));
+  const std::string dashboard = repository_file("server/grafana.json");
+  const std::regex name("crumple_[a-z_]+");
+  std::set<std::string> asked;
+  for (std::sregex_iterator i(dashboard.begin(), dashboard.end(), name), end; i != end; ++i) asked.insert(i->str());
+  EXPECT_GE(asked.size(), 8u);
+  for (const std::string& one : asked) EXPECT_NE(page.find("# TYPE " + one + " "), std::string::npos) << one;
+}
+
+// ---- its end ----------------------------------------------------------------------------------------------------------------
+
+TEST_F(Operate, ATerminatedServerClosesItsRecordingAndViewersSeeItGo) {
+  start_server(path("%Y-ended.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  CrumpleSurface surface{};
+  ASSERT_TRUE(until(host, [&] { return crumple_surface(host, "box", &surface) == CRUMPLE_OK && surface.alive; }));
+  server->send(SIGTERM);
+  EXPECT_TRUE(until(host, [&] { return crumple_surface(host, "box", &surface) == CRUMPLE_OK && !surface.alive; }));
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const size_t at = server->text.find("recorded ");
+  ASSERT_NE(at, std::string::npos) << server->text;
+  const std::string file = server->text.substr(at + 9, server->text.find('\n', at) - at - 9);
+  EXPECT_EQ(file.find('%'), std::string::npos) << "the year of its start stands in its name";
+  const Outcome outcome = run({"replay", file, "--verify"});
+  EXPECT_EQ(outcome.code, 0) << outcome.text;
+  EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
+  EXPECT_EQ(outcome.text.find("cut off"), std::string::npos) << outcome.text;
+}
+
+TEST_F(Operate, TheUnitOfSystemdIsOne) {
+  if (std::system("systemd-analyze --version >/dev/null 2>&1") != 0) GTEST_SKIP() << "systemd-analyze is not here";
+  const std::string unit = with(repository_file("server/crumple.service"), "/usr/local/bin/crumple", CRUMPLE_PROGRAM);
+  const std::string said = path("said");
+  const int code = std::system(("systemd-analyze verify " + write("crumple.service", unit) + " >" + said + " 2>&1").c_str());
+  std::ifstream file(said);
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  EXPECT_EQ(code, 0) << text;
+  EXPECT_EQ(text.find("crumple.service"), std::string::npos) << text;
+}
+
+// ---- what a tick takes ------------------------------------------------------------------------------------------------------
+
+TEST_F(Operate, NoSenderMakesATickLong) {
+  start_server(path("flood.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  const Session net = open_raw();
+  // 4000 poses and one that is too long.
+  for (uint64_t i = 1; i <= 4000; ++i) put(net, "crumple/1/main/host/tester/poses", host::poses(i, {{"box", pose_at(0)}}));
+  put(net, "crumple/1/main/host/tester/obstacles", Bytes((size_t{1} << 20) + 1));
+  // 5000 commands at once: each is answered, be it with a refusal.
+  const Bytes order = host::save();
+  constexpr int asked = 5000;
+  int done = 0, ended = 0, refused = 0;
+  for (int i = 0; i < asked; ++i) {
+    uint64_t ticket = 0;
+    ASSERT_EQ(net_get(net.get(), "crumple/1/main/car/box", order.data(), order.size(), 60'000, &ticket), 0)
+        << transport_error();
+  }
+  const auto see = [&](const NetEvent& event) {
+    ended += event.kind == NET_REPLY_END;
+    if (event.kind != NET_REPLY) return;
+    const std::string_view text(reinterpret_cast<const char*>(event.data), event.size);
+    (event.failed ? refused : done) += 1;
+    EXPECT_EQ(event.failed != 0, text.find("too many questions wait") != text.npos) << text;
+  };
+  EXPECT_TRUE(until_raw(net, see, [&] { return ended == asked; })) << ended;
+  EXPECT_EQ(done + refused, asked);
+  EXPECT_GE(done, 1000) << "so many may wait";
+  EXPECT_GT(refused, 0);
+  auto counts = counts_when(net, [](auto& health) { return health["oversized"] > 0 && health["queries_refused"] > 0; });
+  EXPECT_EQ(counts["oversized"], 1u);
+  EXPECT_EQ(counts["queries_refused"], uint64_t(refused));
+  EXPECT_EQ(counts["queries_waiting"], 0u);
+  EXPECT_GT(counts["replaced"], 0u);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  auto seen = topics(path("flood.mcap"));
+  EXPECT_LE(seen["crumple/1/main/car/box"].second, 16) << "commands in one tick";
+  EXPECT_EQ(seen["crumple/1/main/host/tester/poses"].second, 1) << "poses of a host in one tick";
+  EXPECT_EQ(run({"replay", path("flood.mcap"), "--verify"}).code, 0);
+}
+
+}  // namespace
+}  // namespace crumple
