@@ -1,6 +1,8 @@
-// The C door to the only Rust of the project: zenoh sessions and MCAP files. Nothing here knows what the bytes mean.
-// Pull-based: no callback ever runs on the caller's side; no function but net_poll, net_open and net_close waits.
-// Functions that return int give 0, or a negative Status; transport_error() then has the sentence.
+// The C door to the only Rust of the project: zenoh sessions and MCAP files.
+// Nothing here knows what the bytes mean. Pull-based: no callback ever runs on
+// the caller's side; no function but net_poll, net_open and net_close waits.
+// Functions that return int give 0, or a negative Status; transport_error()
+// then has the sentence.
 #pragma once
 
 #include <stddef.h>
@@ -13,126 +15,176 @@ extern "C" {
 enum TransportStatus {
   TRANSPORT_OK = 0,
   TRANSPORT_BAD_ARGUMENT = -1,
-  TRANSPORT_CLOSED = -2,   // session or file is closed or broken
-  TRANSPORT_DROPPED = -3,  // a bounded queue was full: the item was not taken, and counted
+  TRANSPORT_CLOSED = -2, // session or file is closed or broken
+  TRANSPORT_DROPPED =
+      -3, // a bounded queue was full: the item was not taken, and counted
   TRANSPORT_IO = -4,
   TRANSPORT_BAD_FILE = -5,
 };
 
 // The sentence for the last error of this thread; valid until its next call.
-const char* transport_error(void);
+const char *transport_error(void);
 // zenoh, mcap and this library's versions as one line.
-const char* transport_version(void);
+const char *transport_version(void);
 
-// ---- network --------------------------------------------------------------------------------------------------------------
+// ---- network
+// --------------------------------------------------------------------------------------------------------------
 
 typedef struct Net Net;
 
-// mode "peer" with `listen`, or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
-// config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16
-// batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns
-// its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
-int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
-// The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or "" if none.
-const char* net_endpoint(const Net*);
+// mode "peer" with `listen`, or "client" with `connect`: endpoints such as
+// "tcp/127.0.0.1:7447", comma separated, or NULL. config: JSON5 of zenoh's own
+// configuration laid over ours, or NULL. Ours: no multicast or gossip scouting,
+// lease 3 s, 16 batches a queue, 64 MiB a message (a car of 50,000 nodes has
+// 20), Drop for samples. A server that listens on port 0 learns its port by
+// net_endpoint. Waits up to timeout_ms for a client's first connection.
+int net_open(const char *mode, const char *listen, const char *connect,
+             const char *config, uint32_t timeout_ms, Net **out);
+// The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or ""
+// if none.
+const char *net_endpoint(const Net *);
 // Undeclares everything, joins all threads.
-void net_close(Net*);
+void net_close(Net *);
 
-enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's
+enum NetPriority {
+  NET_REAL_TIME = 1,
+  NET_HIGH = 2,
+  NET_DATA = 5,
+  NET_LOW = 6
+}; // zenoh's
 
-// Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept.
-// A session does not hear its own samples and questions; it does see its own announcements.
-int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriority priority);
+// Takes a copy and returns at once; a thread of the session publishes in order.
+// Publishers are declared once a key and kept. A session does not hear its own
+// samples and questions; it does see its own announcements.
+int net_put(Net *, const char *key, const void *data, size_t size,
+            enum NetPriority priority);
 
-// depth 0: latest only, per key (an older sample that was not yet polled is replaced, and counted in NetStats.replaced).
-// Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, new ones are dropped and
-// counted.
-int net_subscribe(Net*, const char* key_expression, uint32_t depth);
-// Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused.
-int net_queryable(Net*, const char* key_expression, uint32_t depth);
-// Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one NET_REPLY_END, at the latest after timeout_ms
-// (a timeout itself comes as a failed NET_REPLY, then the end).
-int net_get(Net*, const char* key, const void* data, size_t size, uint32_t timeout_ms, uint64_t* ticket);
-// Announces that this session lives, under a key, until it closes; and watches such keys (those alive now are reported first).
-int net_announce(Net*, const char* key);
+// depth 0: latest only, per key (an older sample that was not yet polled is
+// replaced, and counted in NetStats.replaced). Otherwise a queue of that many
+// samples over all keys; beyond it, or beyond 4096 keys with depth 0, new ones
+// are dropped and counted.
+int net_subscribe(Net *, const char *key_expression, uint32_t depth);
+// Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it
+// they are refused.
+int net_queryable(Net *, const char *key_expression, uint32_t depth);
+// Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one
+// NET_REPLY_END, at the latest after timeout_ms (a timeout itself comes as a
+// failed NET_REPLY, then the end).
+int net_get(Net *, const char *key, const void *data, size_t size,
+            uint32_t timeout_ms, uint64_t *ticket);
+// Announces that this session lives, under a key, until it closes; and watches
+// such keys (those alive now are reported first).
+int net_announce(Net *, const char *key);
 // Takes an announcement back before that (a car was despawned).
-int net_retract(Net*, const char* key);
-int net_watch(Net*, const char* key_expression);
-// 1 if some other session subscribes to the key now; a cached flag, cheap. The first call, or put, declares the key: 0 until
-// then.
-int net_matching(Net*, const char* key);
+int net_retract(Net *, const char *key);
+int net_watch(Net *, const char *key_expression);
+// 1 if some other session subscribes to the key now; a cached flag, cheap. The
+// first call, or put, declares the key: 0 until then.
+int net_matching(Net *, const char *key);
 
-enum NetKind { NET_SAMPLE, NET_QUERY, NET_REPLY, NET_REPLY_END, NET_ALIVE, NET_GONE };
+enum NetKind {
+  NET_SAMPLE,
+  NET_QUERY,
+  NET_REPLY,
+  NET_REPLY_END,
+  NET_ALIVE,
+  NET_GONE
+};
 
 typedef struct NetEvent {
-  uint32_t kind;        // NetKind
-  uint32_t failed;      // NET_REPLY: 1 if it is an error reply
-  const char* key;      // zero-terminated
-  const uint8_t* data;  // aligned to 16 bytes
+  uint32_t kind;       // NetKind
+  uint32_t failed;     // NET_REPLY: 1 if it is an error reply
+  const char *key;     // zero-terminated
+  const uint8_t *data; // aligned to 16 bytes
   size_t size;
-  uint64_t ticket;  // NET_QUERY: for net_reply; NET_REPLY, NET_REPLY_END: of net_get
+  uint64_t
+      ticket; // NET_QUERY: for net_reply; NET_REPLY, NET_REPLY_END: of net_get
 } NetEvent;
 
-// Waits until something arrived or timeout_us passed (0: does not wait); fills up to `capacity` events, samples in the order
-// they came. Returns their number, or a negative Status. Events are valid until the next net_poll of this Net.
-// One thread at a time polls a Net; every other function may be called from any thread.
-int net_poll(Net*, NetEvent* events, uint32_t capacity, uint64_t timeout_us);
+// Waits until something arrived or timeout_us passed (0: does not wait); fills
+// up to `capacity` events, samples in the order they came. Returns their
+// number, or a negative Status. Events are valid until the next net_poll of
+// this Net. One thread at a time polls a Net; every other function may be
+// called from any thread.
+int net_poll(Net *, NetEvent *events, uint32_t capacity, uint64_t timeout_us);
 
-// Answers a query, once (as an error reply if failed); one that is never answered times out at the asker. The answer has the
-// queryable's key, or the key asked for where the queryable's names many.
-int net_reply(Net*, uint64_t ticket, const void* data, size_t size, int failed);
+// Answers a query, once (as an error reply if failed); one that is never
+// answered times out at the asker. The answer has the queryable's key, or the
+// key asked for where the queryable's names many.
+int net_reply(Net *, uint64_t ticket, const void *data, size_t size,
+              int failed);
 
 typedef struct NetStats {
-  uint64_t put, put_bytes, put_dropped;  // dropped: the session's own queue was full
+  uint64_t put, put_bytes,
+      put_dropped; // dropped: the session's own queue was full
   uint64_t received, received_bytes, received_dropped, replaced;
   uint64_t queries, queries_refused;
 } NetStats;
-void net_stats(const Net*, NetStats* out);
+void net_stats(const Net *, NetStats *out);
 
-// ---- recordings: MCAP 0.26 ------------------------------------------------------------------------------------------------
+// ---- recordings: MCAP 0.26
+// ------------------------------------------------------------------------------------------------
 
 typedef struct Recorder Recorder;
 
-// Creates the file and a thread that writes it: whole records only (no seeking back), chunks of 256 KiB or one second,
-// whichever comes first, synced each second: what is older than a second survives kill -9. Each call below takes a copy into
-// a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, counted) and returns at once.
-int recorder_open(const char* path, const char* profile, const char* library, Recorder** out);
-// Schema of encoding "flatbuffer" (data: .bfbs), and a channel with message encoding "flatbuffer". Return an id >= 0.
-int recorder_schema(Recorder*, const char* name, const void* bfbs, size_t size);
-int recorder_channel(Recorder*, const char* topic, int schema);
-int recorder_write(Recorder*, int channel, uint32_t sequence, uint64_t log_time_ns, uint64_t publish_time_ns, const void* data,
-                   size_t size);
-int recorder_attach(Recorder*, const char* name, const char* media_type, const void* data, size_t size);
+// Creates the file and a thread that writes it: whole records only (no seeking
+// back), chunks of 256 KiB or one second, whichever comes first, synced each
+// second: what is older than a second survives kill -9. Each call below takes a
+// copy into a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, messages
+// counted) and returns at once.
+int recorder_open(const char *path, const char *profile, const char *library,
+                  Recorder **out);
+// Schema of encoding "flatbuffer" (data: .bfbs), and a channel with message
+// encoding "flatbuffer". Return an id >= 0.
+int recorder_schema(Recorder *, const char *name, const void *bfbs,
+                    size_t size);
+int recorder_channel(Recorder *, const char *topic, int schema);
+int recorder_write(Recorder *, int channel, uint32_t sequence,
+                   uint64_t log_time_ns, uint64_t publish_time_ns,
+                   const void *data, size_t size);
+int recorder_attach(Recorder *, const char *name, const char *media_type,
+                    const void *data, size_t size);
 // pairs: key, value, key, value, ..., NULL.
-int recorder_metadata(Recorder*, const char* name, const char* const* pairs);
-// Messages that were not written: queue full or disk trouble. The sentence of the first trouble, or "".
-uint64_t recorder_lost(const Recorder*);
-const char* recorder_trouble(const Recorder*);
-// Writes what is queued, summary and footer; returns the first trouble's Status, if any.
-int recorder_close(Recorder*);
+int recorder_metadata(Recorder *, const char *name, const char *const *pairs);
+// Messages that were not written: queue full or disk trouble. The sentence of
+// the first trouble, or "".
+uint64_t recorder_lost(const Recorder *);
+const char *recorder_trouble(const Recorder *);
+// Writes what is queued, summary and footer; returns the first trouble's
+// Status, if any.
+int recorder_close(Recorder *);
 
 typedef struct Reader Reader;
 
 typedef struct ReaderMessage {
-  const char* topic;
-  const char* schema;
-  const uint8_t* data;  // aligned to 16 bytes; valid until the next reader_next or reader_rewind
+  const char *topic;
+  const char *schema; // its name, and its .bfbs
+  const uint8_t *bfbs;
+  size_t bfbs_size;
+  const uint8_t *data; // aligned to 16 bytes; valid until the next reader_next
+                       // or reader_rewind
   size_t size;
   uint32_t sequence;
   uint64_t log_time_ns, publish_time_ns;
 } ReaderMessage;
 
-// Opens a recording, whole or cut off at any byte (then reader_cut gives 1); records over 256 MiB are refused.
-int reader_open(const char* path, Reader** out);
-void reader_close(Reader*);
-int reader_cut(const Reader*);
-// The next message in file order: 1, or 0 at the end, or a negative Status (damaged).
-int reader_next(Reader*, ReaderMessage* out);
-int reader_rewind(Reader*);
-// The i-th attachment or metadata entry in file order: 1, or 0 if there are fewer. Views live as long as the Reader.
-int reader_attachment(Reader*, uint32_t i, const char** name, const char** media_type, const uint8_t** data, size_t* size);
+// Opens a recording, whole or cut off at any byte (then reader_cut gives 1);
+// records over 256 MiB are refused.
+int reader_open(const char *path, Reader **out);
+void reader_close(Reader *);
+int reader_cut(const Reader *);
+// The next message in file order: 1, or 0 at the end, or a negative Status
+// (damaged).
+int reader_next(Reader *, ReaderMessage *out);
+int reader_rewind(Reader *);
+// The i-th attachment or metadata entry in file order: 1, or 0 if there are
+// fewer. Views live as long as the Reader.
+int reader_attachment(Reader *, uint32_t i, const char **name,
+                      const char **media_type, const uint8_t **data,
+                      size_t *size);
 // Metadata: pairs as key, value, ..., NULL.
-int reader_metadata(Reader*, uint32_t i, const char** name, const char* const** pairs);
+int reader_metadata(Reader *, uint32_t i, const char **name,
+                    const char *const **pairs);
 
 #ifdef __cplusplus
 }
