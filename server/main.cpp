@@ -20,7 +20,11 @@ namespace {
 std::atomic<bool> stop{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
 
-void on_signal(int) { stop = true; }
+// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+void on_signal(int signal) {
+  stop = true;
+  std::signal(signal, SIG_DFL);
+}
 
 const CLI::Validator is_id(
     [](std::string& text) -> std::string {

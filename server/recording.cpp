@@ -11,6 +11,7 @@ asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSA
 extern "C" const uint8_t message_schema[], message_schema_end[];
 
 namespace crumple {
+
 namespace {
 
 // Hosts and cars come and go, and each has keys of its own; MCAP numbers channels with 16 bits.
@@ -121,19 +122,30 @@ std::string Recording::close() {
   return good ? "" : transport_error();
 }
 
-bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
-  auto at = channels_.find(key);
-  if (at == channels_.end()) {
-    if (channels_.size() >= channel_limit) return false;
-    const char* table = table_of(channel);
-    auto schema = schemas_.find(table);
-    if (schema == schemas_.end()) {
-      const auto length = static_cast<size_t>(message_schema_end - message_schema);
-      schema = schemas_.emplace(table, recorder_schema(recorder_, table, message_schema, length)).first;
-    }
-    at = channels_.emplace(key, recorder_channel(recorder_, (root_ + key).c_str(), schema->second)).first;
+// What a full queue refuses is asked for again with the next message.
+int Recording::id_of(const std::string& key, Channel channel) {
+  if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
+  if (channels_.size() >= channel_limit) return -1;
+  const char* table = table_of(channel);
+  auto schema = schemas_.find(table);
+  if (schema == schemas_.end()) {
+    const auto length = static_cast<size_t>(message_schema_end - message_schema);
+    const int id = recorder_schema(recorder_, table, message_schema, length);
+    if (id < 0) return id;
+    schema = schemas_.emplace(table, id).first;
   }
-  return recorder_write(recorder_, at->second, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) == 0;
+  const int id = recorder_channel(recorder_, (root_ + key).c_str(), schema->second);
+  if (id >= 0) channels_.emplace(key, id);
+  return id;
+}
+
+bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
+  const int id = id_of(key, channel);
+  if (id < 0) {
+    ++undeclared_;
+    return false;
+  }
+  return recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) == 0;
 }
 
 void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {

@@ -16,7 +16,7 @@ namespace {
 struct Verdict {
   uint64_t identical = 0;
   uint64_t differs = 0;  // first differing tick; 0: none
-  uint64_t lost = 0;     // first tick whose inputs are not all in the file; 0: none
+  uint64_t lost = 0;     // first tick before whose end something is not in the file; 0: none
 };
 
 const schema::TickEnd& tick_end_of(const RecordingReader::Item& item) {
@@ -39,11 +39,16 @@ Verdict verify(RecordingReader& file, int threads, const std::atomic<bool>& stop
       inbox.push_back({std::string(item.key), {bytes, bytes + item.bytes.size()}, item.channel == Channel::command ? 1u : 0u});
     } else if (item.channel == Channel::tick_end) {
       const schema::TickEnd& end = tick_end_of(item);
+      if (end.lost_inputs() > 0 || end.tick() != tick_count(*world) + 1) {
+        verdict.lost = end.tick();
+        break;
+      }
       tick(*world, inbox, outbox, threads);
       inbox.clear();
-      if (end.lost_inputs() > 0) verdict.lost = end.tick();
-      if (hash(*world) != end.hash() || tick_count(*world) != end.tick()) verdict.differs = end.tick();
-      if (verdict.lost || verdict.differs) break;
+      if (hash(*world) != end.hash()) {
+        verdict.differs = end.tick();
+        break;
+      }
       ++verdict.identical;
     }
   }

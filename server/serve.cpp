@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
 #include <ctime>
 #include <map>
@@ -58,6 +59,7 @@ struct Server {
   WorldHandle world;
   Net* net = nullptr;
   std::optional<Recording> recording;
+  std::string recording_told;                    // the last sentence about its trouble
   std::set<std::string, std::less<>> announced;  // cars
   Inbox inbox;
   Outbox outbox;
@@ -223,6 +225,18 @@ void tell_refusals(Server& server, uint64_t& told) {
   told = refused;
 }
 
+// What is wrong with the recording is said when it begins; how much it costs is in health.
+void tell_recording(Server& server) {
+  std::string trouble = server.recording->trouble();
+  if (trouble.empty() && server.recording->lost() > 0)
+    trouble = server.options.record +
+              ": loses messages, because the disk is slower than the recording; the server goes on, "
+              "replay --verify names the tick; record to a faster disk";
+  if (trouble.empty() || trouble == server.recording_told) return;
+  std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
+  server.recording_told = trouble;
+}
+
 void run(Server& server, const std::atomic<bool>& stop) {
   const auto period = std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / server.options.rate));
   const auto slack = std::chrono::duration_cast<Clock::duration>(late_share * period);
@@ -244,6 +258,7 @@ void run(Server& server, const std::atomic<bool>& stop) {
     next_health += std::chrono::seconds(1);
     publish_health(server);
     tell_refusals(server, told);
+    if (server.recording) tell_recording(server);
   }
 }
 
@@ -254,9 +269,9 @@ int finish(Server& server) {
   if (!server.recording) return 0;
   const uint64_t lost = server.recording->lost();
   const std::string trouble = server.recording->close();
+  if (!trouble.empty() && trouble != server.recording_told) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
   if (lost > 0)
     std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(lost));
-  if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
   if (lost > 0 || !trouble.empty()) return 1;
   std::printf("recorded %s\n", server.options.record.c_str());
   return 0;
@@ -265,6 +280,9 @@ int finish(Server& server) {
 }  // namespace
 
 int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
+  // A recording may meet a limit on file sizes, or be a pipe whose reader goes: like a full disk, that does not end the server.
+  std::signal(SIGXFSZ, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);
   Server server(options);
   server.root = "crumple/1/" + options.scene + "/";
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
