@@ -167,7 +167,7 @@ int run(int argc, char** argv) {
 
   CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
   app.require_subcommand(1);
-  app.set_version_flag("--version", std::string("crumple ") + program_version);
+  app.set_version_flag("--version", program_name);
   app.footer(
       "A session, each line in its own terminal:\n"
       "  crumple bake built-in -o car.car\n"

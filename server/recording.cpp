@@ -12,6 +12,8 @@ extern "C" const uint8_t message_schema[], message_schema_end[];
 
 namespace crumple {
 
+const char* const program_name = "crumple 0.1.0+" CRUMPLE_PHYSICS;
+
 namespace {
 
 // Hosts and cars come and go, and each has keys of its own; MCAP numbers channels with 16 bits.
@@ -177,7 +179,8 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
     size_t size;
     for (uint32_t i = 0; reader_attachment(reader_, i, &name, &type, &data, &size) == 1; ++i)
       if (std::strcmp(type, car_media_type) == 0)
-        head_.cars.push_back(read_car({reinterpret_cast<const std::byte*>(data), size}, path + ": attachment " + name));
+        head_.cars.push_back(read_car({reinterpret_cast<const std::byte*>(data), size},
+                                      path + " (recorded by " + head_.program + "): attachment " + name));
   } catch (...) {
     reader_close(reader_);
     throw;
@@ -200,8 +203,8 @@ void RecordingReader::read_metadata() {
     good &= head_.rate >= 1 && head_.rate <= 1000 && head_.quantum > 0;
     visit_limits(head_.limits, [&](const char* key, auto& value) { good &= read_number(values[key], value); });
     if (!good)
-      throw std::runtime_error(path_ +
-                               ": its metadata lacks the rate, the quantum or a limit: it was written by another program");
+      throw std::runtime_error(path_ + ": its metadata lacks the rate, the quantum or a limit: it was recorded by " +
+                               head_.program + ", this is " + program_name + ": use that one");
     root_ = "crumple/1/" + head_.scene + "/";
     return;
   }

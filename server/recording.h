@@ -23,12 +23,14 @@
 
 namespace crumple {
 
-inline constexpr const char* program_version = "0.1.0";
+// "crumple 0.1.0+1a2b3c4d": what follows the + is the hash of the sources that a tick is computed by, so that two programs of
+// one name give the same bits, and a recording names the one that it can be verified with.
+extern const char* const program_name;
 inline constexpr const char* car_media_type = "application/vnd.crumple.car";
 
 // What a fresh world is made of.
 struct RecordingHead {
-  std::string program = std::string("crumple ") + program_version;
+  std::string program = program_name;
   std::string scene;
   std::string started;  // UTC
   double rate = 60;

@@ -91,6 +91,38 @@ Contents read(const std::string& path) {
   return contents;
 }
 
+// Copies a recording as long as `change` gives true, which may change a message; `program` takes the recorder's place if given.
+void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change) {
+  Reader* reader = nullptr;
+  Recorder* recorder = nullptr;
+  EXPECT_EQ(reader_open(from.c_str(), &reader), 0) << transport_error();
+  EXPECT_EQ(recorder_open(to.c_str(), "crumple", "test", &recorder), 0) << transport_error();
+  const char *name, *type;
+  const char* const* pairs;
+  const uint8_t* data;
+  size_t size;
+  for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i) {
+    std::vector<const char*> copied;
+    for (; pairs[0]; pairs += 2)
+      copied.insert(copied.end(), {pairs[0], program && pairs[0] == std::string("program") ? program : pairs[1]});
+    copied.push_back(nullptr);
+    recorder_metadata(recorder, name, copied.data());
+  }
+  for (uint32_t i = 0; reader_attachment(reader, i, &name, &type, &data, &size) == 1; ++i)
+    recorder_attach(recorder, name, type, data, size);
+  reader_close(reader);
+  std::map<std::string, int> channels;
+  for (Message& m : read(from).messages) {
+    if (!change(m)) break;
+    const auto [channel, fresh] = channels.try_emplace(m.topic);
+    if (fresh)
+      channel->second = recorder_channel(recorder, m.topic.c_str(),
+                                         recorder_schema(recorder, m.schema.c_str(), m.bfbs.data(), m.bfbs.size()));
+    EXPECT_EQ(recorder_write(recorder, channel->second, m.tick, m.log_time, m.publish_time, m.data.data(), m.data.size()), 0);
+  }
+  EXPECT_EQ(recorder_close(recorder), 0);
+}
+
 std::string bytes_of(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(file), {}};
@@ -176,6 +208,47 @@ TEST_F(Recorded, AServerKilledInTheMiddleOfACrashLosesASecondAtMost) {
       << verified.text;
   EXPECT_NE(verified.text.find("cut off"), std::string::npos) << verified.text;
   EXPECT_NE(run({"info", path("killed.mcap")}).text.find("car box  at"), std::string::npos);
+}
+
+TEST_F(Recorded, AnInputThatWasChangedAfterwardsIsFoundAtItsTickAndAnotherVersionIsNamed) {
+  start_server(path("true.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  uint32_t tick = 0;
+  const auto falsify = [&](Message& message) {
+    if (!message.is("Poses")) return true;
+    auto* car = flatbuffers::GetMutableRoot<schema::Poses>(message.data.data())->cars()->Get(0);
+    *const_cast<schema::Vec3*>(car->velocity()) = schema::Vec3(9.999f, 0, 0);
+    tick = message.tick;
+    return true;
+  };
+  copy(path("true.mcap"), path("false.mcap"), nullptr, falsify);
+  copy(path("true.mcap"), path("other.mcap"), "crumple 9.9.9+12345678", falsify);
+  copy(path("true.mcap"), path("same.mcap"), "crumple 9.9.9+12345678", [](const Message&) { return true; });
+  EXPECT_GT(tick, 0u);
+  const Outcome outcome =
+      run({"replay", path("true.mcap"), path("false.mcap"), path("other.mcap"), path("same.mcap"), "--verify"});
+  EXPECT_EQ(outcome.code, 1);
+  std::string version = run({"--version"}).text;
+  version.pop_back();
+  EXPECT_TRUE(version.starts_with("crumple ") && version.find('+') == version.size() - 9) << version;
+  const std::string differs = ".mcap: tick " + std::to_string(tick) + " differs";
+  for (const std::string& part :
+       {std::string("true.mcap: every tick identical"), "false" + differs, "other" + differs,
+        "recorded by " + version + ", as this is", "recorded by crumple 9.9.9+12345678, this is " + version,
+        std::string("same.mcap: every tick identical")})
+    EXPECT_EQ(count(outcome.text, part), 1u) << part << "\n" << outcome.text;
+
+  // What cannot even be read names its version as well.
+  copy(path("true.mcap"), path("empty.mcap"), nullptr, [](const Message&) { return false; });
+  const Outcome empty = run({"replay", path("empty.mcap"), "--verify"});
+  EXPECT_EQ(empty.code, 1);
+  EXPECT_NE(empty.text.find("nothing to verify"), std::string::npos) << empty.text;
 }
 
 TEST_F(Recorded, ADiskThatFillsUpIsToldOnceAndCountedAndTheServerGoesOn) {
