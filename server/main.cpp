@@ -11,6 +11,7 @@
 #include "cpp/watch.h"
 #include "info.h"
 #include "recording.h"
+#include "recover.h"
 #include "replay.h"
 #include "serve.h"
 
@@ -157,6 +158,18 @@ Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   return [&files] { return info(files); };
 }
 
+Verb add_recover(CLI::App& app, RecoverOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
+  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
+  verb.footer(
+      "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
+      "end.\n"
+      "Example: crumple recover killed.mcap -o whole.mcap");
+  return [&options] { return recover(options); };
+}
+
 int run(int argc, char** argv) {
   BakeCommandOptions bake_options;
   ServeOptions serve_options;
@@ -164,6 +177,7 @@ int run(int argc, char** argv) {
   client::WatchOptions watch_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
+  RecoverOptions recover_options;
 
   CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
   app.require_subcommand(1);
@@ -176,9 +190,10 @@ int run(int argc, char** argv) {
       "  crumple drive clients/scenes/pole.json --car car.car\n"
       "then: crumple replay today.mcap --verify\n"
       "Each verb explains itself: crumple VERB --help");
-  const std::vector<Verb> verbs = {add_bake(app, bake_options),     add_serve(app, serve_options),
-                                   add_drive(app, drive_options),   add_watch(app, watch_options),
-                                   add_replay(app, replay_options), add_info(app, info_files)};
+  const std::vector<Verb> verbs = {add_bake(app, bake_options),       add_serve(app, serve_options),
+                                   add_drive(app, drive_options),     add_watch(app, watch_options),
+                                   add_replay(app, replay_options),   add_info(app, info_files),
+                                   add_recover(app, recover_options)};
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {  // --help, --version

@@ -128,6 +128,10 @@ std::string bytes_of(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
+void write_bytes(const std::string& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+}
+
 size_t count(const std::string& text, const std::string& part) {
   size_t found = 0;
   for (size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1)) ++found;
@@ -208,6 +212,81 @@ TEST_F(Recorded, AServerKilledInTheMiddleOfACrashLosesASecondAtMost) {
       << verified.text;
   EXPECT_NE(verified.text.find("cut off"), std::string::npos) << verified.text;
   EXPECT_NE(run({"info", path("killed.mcap")}).text.find("car box  at"), std::string::npos);
+
+  const std::string before = bytes_of(path("killed.mcap"));
+  const Outcome itself = run({"recover", path("killed.mcap"), "-o", path("./killed.mcap")});
+  EXPECT_EQ(itself.code, 1);
+  EXPECT_NE(itself.text.find("is the input itself"), std::string::npos) << itself.text;
+  const Outcome recovered = run({"recover", path("killed.mcap"), "-o", path("whole.mcap")});
+  EXPECT_EQ(recovered.code, 0) << recovered.text;
+  EXPECT_NE(recovered.text.find(std::to_string(left.last_tick()) + " ticks"), std::string::npos) << recovered.text;
+  EXPECT_TRUE(bytes_of(path("killed.mcap")) == before) << "the input was changed";
+  const Contents whole = read(path("whole.mcap"));
+  EXPECT_FALSE(whole.cut);
+  EXPECT_EQ(whole.last_tick(), left.last_tick());
+  const Outcome again = run({"replay", path("whole.mcap"), "--verify"});
+  EXPECT_EQ(again.code, 0) << again.text;
+  EXPECT_EQ(again.text.find("cut off"), std::string::npos) << again.text;
+}
+
+TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
+  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
+  const Contents all = read(source);
+  const std::string bytes = bytes_of(source);
+  const size_t cars = bytes.find("crumple/1/");  // the first message lies behind them
+  ASSERT_LT(cars, bytes.size());
+  int recovered = 0;
+  for (size_t i = 0; i <= 16; ++i) {
+    const bool damaged = i % 2;
+    const size_t at = cars + (bytes.size() - 1 - cars) * i / 16;
+    write_bytes(path("in.mcap"), damaged ? bytes.substr(0, at) + char(~bytes[at]) + bytes.substr(at + 1) : bytes.substr(0, at));
+    const Contents in = read(path("in.mcap"));
+    const Outcome outcome = run({"recover", path("in.mcap"), "-o", path("out.mcap")});
+    if (in.last_tick() == 0) {
+      EXPECT_EQ(outcome.code, 1) << at;
+      EXPECT_NE(outcome.text.find("no whole tick"), std::string::npos) << outcome.text;
+      continue;
+    }
+    ++recovered;
+    ASSERT_EQ(outcome.code, 0) << at << ": " << outcome.text;
+    EXPECT_EQ(outcome.text.find("nothing was lost") != std::string::npos, !in.cut && in.end == 0) << outcome.text;
+    EXPECT_EQ(outcome.text.find("damaged") != std::string::npos, in.end != 0) << outcome.text;
+    const Contents out = read(path("out.mcap"));
+    EXPECT_FALSE(out.cut);
+    EXPECT_EQ(out.end, 0);
+    EXPECT_EQ(out.last_tick(), in.last_tick());
+    EXPECT_EQ(out.metadata, all.metadata);
+    EXPECT_EQ(out.attachments, all.attachments);
+    // Every message up to the last whole tick, with its times and its schema, and none beyond.
+    std::vector<Message> kept = in.messages;
+    std::erase_if(kept, [&](const Message& message) { return message.tick > in.last_tick(); });
+    EXPECT_TRUE(out.messages == kept) << at << ": " << out.messages.size() << " of " << kept.size();
+  }
+  EXPECT_GT(recovered, 8);
+}
+
+TEST_F(Recorded, RecoverLeavesATickWithoutItsEndOut) {
+  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
+  const Contents all = read(source);
+  // A tick that has inputs and outputs; its end and all after it are left away.
+  uint32_t tick = 0;
+  for (const Message& message : all.messages)
+    if (tick == 0 && message.is("Reactions")) tick = message.tick;
+  size_t of_tick = 0;
+  copy(source, path("in.mcap"), nullptr, [&](const Message& message) {
+    of_tick += message.tick == tick && !message.is("TickEnd");
+    return message.tick < tick || !message.is("TickEnd");
+  });
+  ASSERT_GE(of_tick, 2u);
+  const Outcome outcome = run({"recover", path("in.mcap"), "-o", path("out.mcap")});
+  EXPECT_EQ(outcome.code, 0) << outcome.text;
+  EXPECT_NE(outcome.text.find("left out: " + std::to_string(of_tick) + " messages of tick " + std::to_string(tick)),
+            std::string::npos)
+      << outcome.text;
+  const Contents out = read(path("out.mcap"));
+  EXPECT_EQ(out.last_tick(), tick - 1);
+  EXPECT_EQ(out.messages.back().tick, tick - 1);
+  EXPECT_EQ(run({"replay", path("out.mcap"), "--verify"}).code, 0);
 }
 
 TEST_F(Recorded, AnInputThatWasChangedAfterwardsIsFoundAtItsTickAndAnotherVersionIsNamed) {
@@ -333,7 +412,7 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
 }
 
 TEST_F(Recorded, AFolderThatCannotBeWrittenIsRefusedAtTheStart) {
-  for (const char* verb : {"serve"}) {
+  for (const char* verb : {"serve", "recover"}) {
     const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_pole.mcap";
     const std::string there = "/sys/crumple.mcap";  // not even root creates files there
     std::vector<std::string> arguments = {verb, source, "-o", there};
