@@ -9,6 +9,7 @@
 #include "bake_command.h"
 #include "cpp/drive.h"
 #include "cpp/watch.h"
+#include "export.h"
 #include "info.h"
 #include "recording.h"
 #include "recover.h"
@@ -170,6 +171,21 @@ Verb add_recover(CLI::App& app, RecoverOptions& options) {
   return [&options] { return recover(options); };
 }
 
+Verb add_export(CLI::App& app, ExportOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
+  verb.add_option("FILE", options.file, "recording")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.folder,
+                  "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
+      ->required()
+      ->type_name("FOLDER");
+  verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
+      ->check(CLI::Range(0.1, 1000.0))
+      ->capture_default_str();
+  verb.footer("Example: crumple export today.mcap -o today");
+  return [&options] { return export_recording(options); };
+}
+
 int run(int argc, char** argv) {
   BakeCommandOptions bake_options;
   ServeOptions serve_options;
@@ -178,6 +194,7 @@ int run(int argc, char** argv) {
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
   RecoverOptions recover_options;
+  ExportOptions export_options;
 
   CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
   app.require_subcommand(1);
@@ -193,7 +210,7 @@ int run(int argc, char** argv) {
   const std::vector<Verb> verbs = {add_bake(app, bake_options),       add_serve(app, serve_options),
                                    add_drive(app, drive_options),     add_watch(app, watch_options),
                                    add_replay(app, replay_options),   add_info(app, info_files),
-                                   add_recover(app, recover_options)};
+                                   add_recover(app, recover_options), add_export(app, export_options)};
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {  // --help, --version

@@ -1,10 +1,14 @@
 // Recordings can be trusted: those that come with the project give their hashes again; what a kill, a full, slow or forbidden
 // disk leaves is readable and says what it lacks; what other programs are given of them is what viewers saw.
+#include <assimp/commonMetaData.h>
+#include <assimp/scene.h>
 #include <fcntl.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 
+#include <assimp/Importer.hpp>
 #include <random>
+#include <sstream>
 #include <thread>
 
 #include "end_to_end.h"
@@ -412,7 +416,7 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
 }
 
 TEST_F(Recorded, AFolderThatCannotBeWrittenIsRefusedAtTheStart) {
-  for (const char* verb : {"serve", "recover"}) {
+  for (const char* verb : {"serve", "recover", "export"}) {
     const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_pole.mcap";
     const std::string there = "/sys/crumple.mcap";  // not even root creates files there
     std::vector<std::string> arguments = {verb, source, "-o", there};
@@ -425,6 +429,149 @@ TEST_F(Recorded, AFolderThatCannotBeWrittenIsRefusedAtTheStart) {
         << outcome.text;
     EXPECT_EQ(count(outcome.text, "\n"), 1u) << outcome.text;
   }
+}
+
+std::vector<std::array<float, 3>> obj_vertices(const std::string& text) {
+  std::vector<std::array<float, 3>> vertices;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    std::array<float, 3> v;
+    if (std::sscanf(line.c_str(), "v %f %f %f", &v[0], &v[1], &v[2]) == 3) vertices.push_back(v);
+  }
+  return vertices;
+}
+
+TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
+  start_server(path("show.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  CrumpleMesh mesh{};
+  ASSERT_TRUE(until(host, [&] { return crumple_mesh(host, asset.c_str(), &mesh) == CRUMPLE_OK; }));
+  server->send(SIGINT);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  EXPECT_GT(deepest(host), 40);
+  std::vector<float> seen(3 * size_t{mesh.vertex_count});  // m, car's frame
+  ASSERT_EQ(crumple_copy(host, "box", seen.data(), 12, mesh.vertex_count), CRUMPLE_OK);
+  for (size_t i = 0; i < seen.size(); ++i) seen[i] += mesh.vertex[i];
+
+  const Outcome outcome = run({"export", path("show.mcap"), "-o", path("show"), "--fps", "20"});
+  ASSERT_EQ(outcome.code, 0) << outcome.text;
+
+  // The film, by another reader of glTF.
+  Assimp::Importer importer;
+  const aiScene* scene = importer.ReadFile(path("show/box.glb"), 0);
+  ASSERT_NE(scene, nullptr) << importer.GetErrorString();
+  aiString credit;
+  ASSERT_TRUE(scene->mMetaData && scene->mMetaData->Get(AI_METADATA_SOURCE_COPYRIGHT, credit));
+  EXPECT_STREQ(credit.C_Str(), "made by the tests");
+  ASSERT_EQ(scene->mNumMeshes, 1u);
+  const aiMesh& body = *scene->mMeshes[0];
+  ASSERT_EQ(body.mNumVertices, mesh.vertex_count);
+  EXPECT_EQ(body.mNumFaces, mesh.triangle_count);
+  ASSERT_GE(body.mNumAnimMeshes, 2u) << "a crash at 20 frames a second has several shapes";
+  const aiAnimMesh& dented = *body.mAnimMeshes[body.mNumAnimMeshes - 1];
+  for (uint32_t v = 0; v < mesh.vertex_count; ++v) {
+    for (unsigned axis = 0; axis < 3; ++axis) {
+      EXPECT_EQ(body.mVertices[v][axis], mesh.vertex[3 * v + axis]) << "vertex " << v;
+      EXPECT_NEAR(dented.mVertices[v][axis], seen[3 * v + axis], 1e-6f) << "vertex " << v;
+    }
+  }
+  ASSERT_EQ(scene->mNumAnimations, 1u);
+  const aiAnimation& animation = *scene->mAnimations[0];
+  ASSERT_EQ(animation.mNumMorphMeshChannels, 1u);
+  const aiMeshMorphAnim& shapes = *animation.mMorphMeshChannels[0];
+  ASSERT_GE(shapes.mNumKeys, 3u);
+  const auto weight = [&](uint32_t key, uint32_t shape) { return shapes.mKeys[key].mWeights[shape]; };
+  for (uint32_t shape = 0; shape < body.mNumAnimMeshes; ++shape) {
+    EXPECT_EQ(weight(0, shape), 0) << "it begins undamaged";
+    EXPECT_EQ(weight(shapes.mNumKeys - 1, shape), shape + 1 == body.mNumAnimMeshes ? 1 : 0) << "it ends as it was left";
+  }
+
+  // Where it ends, and the table of reactions, against the recording's own.
+  std::vector<Message> told;
+  for (const Message& message : read(path("show.mcap")).messages)
+    if (message.is("Reactions")) told.push_back(message);
+  ASSERT_FALSE(told.empty());
+  const auto& pose = *told.back().as<schema::Reactions>()->cars()->Get(0)->pose();
+  ASSERT_EQ(animation.mNumChannels, 1u);
+  const aiNodeAnim& motion = *animation.mChannels[0];
+  EXPECT_NEAR(motion.mPositionKeys[motion.mNumPositionKeys - 1].mValue.x, pose.position().x(), 1e-5);
+  EXPECT_GT(motion.mPositionKeys[motion.mNumPositionKeys - 1].mTime, 50) << "ms";
+  EXPECT_LT(motion.mPositionKeys[motion.mNumPositionKeys - 1].mTime, 1000.0 / 60 * told.back().tick + 100) << "ms";
+  // glTF's y is up: the height of the roof is the third coordinate here and the second there.
+  const aiMatrix4x4 upright = scene->mRootNode->mTransformation;
+  const aiVector3D up = upright * aiVector3D(0, 0, 1), forward = upright * aiVector3D(1, 0, 0);
+  EXPECT_NEAR(up.y, 1, 1e-6);
+  EXPECT_NEAR(forward.z, 1, 1e-6);
+  const std::string table = bytes_of(path("show/reactions.csv"));
+  ASSERT_EQ(count(table, "\n"), told.size() + 1);
+  std::istringstream lines(table);
+  std::string line;
+  std::getline(lines, line);
+  for (const Message& message : told) {
+    std::getline(lines, line);
+    const auto& reaction = *message.as<schema::Reactions>()->cars()->Get(0);
+    std::vector<std::string> cells;
+    std::istringstream row(line);
+    for (std::string cell; std::getline(row, cell, ',');) cells.push_back(cell);
+    ASSERT_EQ(cells.size(), 22u) << line;
+    EXPECT_EQ(cells[0], std::to_string(message.tick));
+    EXPECT_EQ(cells[2], "box");
+    EXPECT_FLOAT_EQ(std::stof(cells[6]), reaction.velocity()->x());
+    EXPECT_FLOAT_EQ(std::stof(cells[12]), reaction.impulse()->x());
+    EXPECT_FLOAT_EQ(std::stof(cells[18]), static_cast<float>(reaction.energy_absorbed()));
+    EXPECT_EQ(cells[21], std::to_string(reaction.contacts()));
+  }
+
+  std::set<std::string> objs;
+  for (const auto& entry : fs::directory_iterator(path("show")))
+    if (entry.path().extension() == ".obj") objs.insert(entry.path().string());
+  ASSERT_EQ(objs.size(), body.mNumAnimMeshes + 1u) << "each shape and the undamaged one";
+  const std::string last = bytes_of(*objs.rbegin());
+  EXPECT_TRUE(last.starts_with("# made by the tests\n")) << last.substr(0, 80);
+  const auto vertices = obj_vertices(last);
+  ASSERT_EQ(vertices.size(), mesh.vertex_count);
+  for (size_t i = 0; i < seen.size(); ++i) EXPECT_NEAR(vertices[i / 3][i % 3], seen[i], 1e-5f) << "vertex " << i / 3;
+}
+
+// A car whose vertices lie inside tets, seen by a viewer of the film.
+TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
+  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/m130_wall.mcap";
+  uint64_t end = 0;
+  for (const Message& message : read(source).messages) {
+    if (message.is("Keyframe")) end = message.as<schema::Keyframe>()->hash();
+    if (message.is("Delta")) end = message.as<schema::Delta>()->hash();
+  }
+  start({"replay", source, "--publish", "--loop", "--speed", "10", "--listen", "tcp/127.0.0.1:0"});
+  Crumple* viewer = open();
+  ASSERT_NE(viewer, nullptr);
+  ASSERT_EQ(crumple_follow(viewer, "car"), CRUMPLE_OK);
+  CrumpleSurface surface{};
+  CrumpleMesh mesh{};
+  ASSERT_TRUE(until(viewer, [&] {
+    return crumple_surface(viewer, "car", &surface) == CRUMPLE_OK && surface.hash == end &&
+           crumple_mesh(viewer, surface.asset, &mesh) == CRUMPLE_OK;
+  }));
+  std::vector<float> moved(3 * size_t{mesh.vertex_count});
+  ASSERT_EQ(crumple_copy(viewer, "car", moved.data(), 12, mesh.vertex_count), CRUMPLE_OK);
+
+  const Outcome outcome = run({"export", source, "-o", path("film")});
+  ASSERT_EQ(outcome.code, 0) << outcome.text;
+  Assimp::Importer importer;
+  const aiScene* scene = importer.ReadFile(path("film/car.glb"), 0);
+  ASSERT_TRUE(scene && scene->mNumMeshes == 1) << importer.GetErrorString();
+  const aiMesh& body = *scene->mMeshes[0];
+  ASSERT_EQ(body.mNumVertices, mesh.vertex_count);
+  ASSERT_GT(body.mNumAnimMeshes, 0u);
+  for (uint32_t v = 0; v < mesh.vertex_count; ++v)
+    for (unsigned axis = 0; axis < 3; ++axis)
+      EXPECT_NEAR(body.mAnimMeshes[body.mNumAnimMeshes - 1]->mVertices[v][axis],
+                  mesh.vertex[3 * v + axis] + moved[3 * v + axis], 1e-6f)
+          << "vertex " << v;
 }
 
 }  // namespace
