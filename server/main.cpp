@@ -12,8 +12,10 @@
 #include "bake_command.h"
 #include "cpp/drive.h"
 #include "cpp/watch.h"
+#include "export.h"
 #include "info.h"
 #include "recording.h"
+#include "recover.h"
 #include "replay.h"
 #include "serve.h"
 #include "transport/transport.h"
@@ -24,7 +26,11 @@ namespace {
 std::atomic<bool> stop{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
 
-void on_signal(int) { stop = true; }
+// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+void on_signal(int signal) {
+  stop = true;
+  std::signal(signal, SIG_DFL);
+}
 
 const CLI::Validator is_id(
     [](std::string& text) -> std::string {
@@ -227,6 +233,33 @@ Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   return [&files] { return info(files); };
 }
 
+Verb add_recover(CLI::App& app, RecoverOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
+  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
+  verb.footer(
+      "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
+      "end.\n"
+      "Example: crumple recover killed.mcap -o whole.mcap");
+  return [&options] { return recover(options); };
+}
+
+Verb add_export(CLI::App& app, ExportOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
+  verb.add_option("FILE", options.file, "recording")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.folder,
+                  "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
+      ->required()
+      ->type_name("FOLDER");
+  verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
+      ->check(CLI::Range(0.1, 1000.0))
+      ->capture_default_str();
+  verb.footer("Example: crumple export today.mcap -o today");
+  return [&options] { return export_recording(options); };
+}
+
 int run(int argc, char** argv) {
   BakeCommandOptions bake_options;
   ServeOptions serve_options;
@@ -234,10 +267,12 @@ int run(int argc, char** argv) {
   client::WatchOptions watch_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
+  RecoverOptions recover_options;
+  ExportOptions export_options;
 
   CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
   app.require_subcommand(1);
-  app.set_version_flag("--version", std::string("crumple ") + program_version);
+  app.set_version_flag("--version", program_name);
   app.footer(
       "A session, each line in its own terminal:\n"
       "  crumple bake built-in -o car.car\n"
@@ -246,9 +281,10 @@ int run(int argc, char** argv) {
       "  crumple drive clients/scenes/pole.json --car car.car\n"
       "then: crumple replay today.mcap --verify\n"
       "Each verb explains itself: crumple VERB --help");
-  const std::vector<Verb> verbs = {add_bake(app, bake_options),     add_serve(app, serve_options),
-                                   add_drive(app, drive_options),   add_watch(app, watch_options),
-                                   add_replay(app, replay_options), add_info(app, info_files)};
+  const std::vector<Verb> verbs = {add_bake(app, bake_options),       add_serve(app, serve_options),
+                                   add_drive(app, drive_options),     add_watch(app, watch_options),
+                                   add_replay(app, replay_options),   add_info(app, info_files),
+                                   add_recover(app, recover_options), add_export(app, export_options)};
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {  // --help, --version

@@ -87,7 +87,7 @@ std::string metrics_page(const Message& message, const std::string& scene) {
   const auto& health = *flatbuffers::GetRoot<schema::Health>(message.bytes.data());
   Page page;
   page.head("info", "Always 1.");
-  page.value("info{scene=\"" + scene + "\",version=\"" + program_version + "\"}", 1);
+  page.value("info{scene=\"" + scene + "\",program=\"" + program_name + "\"}", 1);
   page.whole("ticks_total", "Ticks done.", static_cast<double>(health.tick()));
   page.whole("late_ticks_total", "Ticks that could not start in time.", static_cast<double>(health.late()));
   page.whole("ticks_per_second", "Ticks that are wanted a second.", double{health.rate()});

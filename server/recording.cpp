@@ -11,6 +11,9 @@ asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSA
 extern "C" const uint8_t message_schema[], message_schema_end[];
 
 namespace crumple {
+
+const char* const program_name = "crumple 0.1.0+" CRUMPLE_PHYSICS;
+
 namespace {
 
 // Hosts and cars come and go, and each has keys of its own; MCAP numbers channels with 16 bits.
@@ -122,19 +125,30 @@ std::string Recording::close() {
   return good ? "" : transport_error();
 }
 
-bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
-  auto at = channels_.find(key);
-  if (at == channels_.end()) {
-    if (channels_.size() >= channel_limit) return false;
-    const char* table = table_of(channel);
-    auto schema = schemas_.find(table);
-    if (schema == schemas_.end()) {
-      const auto length = static_cast<size_t>(message_schema_end - message_schema);
-      schema = schemas_.emplace(table, recorder_schema(recorder_, table, message_schema, length)).first;
-    }
-    at = channels_.emplace(key, recorder_channel(recorder_, (root_ + key).c_str(), schema->second)).first;
+// What a full queue refuses is asked for again with the next message.
+int Recording::id_of(const std::string& key, Channel channel) {
+  if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
+  if (channels_.size() >= channel_limit) return -1;
+  const char* table = table_of(channel);
+  auto schema = schemas_.find(table);
+  if (schema == schemas_.end()) {
+    const auto length = static_cast<size_t>(message_schema_end - message_schema);
+    const int id = recorder_schema(recorder_, table, message_schema, length);
+    if (id < 0) return id;
+    schema = schemas_.emplace(table, id).first;
   }
-  return recorder_write(recorder_, at->second, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) == 0;
+  const int id = recorder_channel(recorder_, (root_ + key).c_str(), schema->second);
+  if (id >= 0) channels_.emplace(key, id);
+  return id;
+}
+
+bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
+  const int id = id_of(key, channel);
+  if (id < 0) {
+    ++undeclared_;
+    return false;
+  }
+  return recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) == 0;
 }
 
 void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {
@@ -166,7 +180,8 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
     size_t size;
     for (uint32_t i = 0; reader_attachment(reader_, i, &name, &type, &data, &size) == 1; ++i) {
       const auto* bytes = reinterpret_cast<const std::byte*>(data);
-      if (std::strcmp(type, car_media_type) == 0) head_.cars.push_back(read_car({bytes, size}, path + ": attachment " + name));
+      if (std::strcmp(type, car_media_type) == 0)
+        head_.cars.push_back(read_car({bytes, size}, path + " (recorded by " + head_.program + "): attachment " + name));
       if (std::strcmp(type, world_media_type) == 0) head_.world.assign(bytes, bytes + size);
     }
   } catch (...) {
@@ -191,8 +206,8 @@ void RecordingReader::read_metadata() {
     good &= head_.rate >= 1 && head_.rate <= 1000 && head_.quantum > 0;
     visit_limits(head_.limits, [&](const char* key, auto& value) { good &= read_number(values[key], value); });
     if (!good)
-      throw std::runtime_error(path_ +
-                               ": its metadata lacks the rate, the quantum or a limit: it was written by another program");
+      throw std::runtime_error(path_ + ": its metadata lacks the rate, the quantum or a limit: it was recorded by " +
+                               head_.program + ", this is " + program_name + ": use that one");
     root_ = "crumple/1/" + head_.scene + "/";
     return;
   }

@@ -24,13 +24,15 @@
 
 namespace crumple {
 
-inline constexpr const char* program_version = "0.1.0";
+// "crumple 0.1.0+1a2b3c4d": what follows the + is the hash of the sources that a tick is computed by, so that two programs of
+// one name give the same bits, and a recording names the one that it can be verified with.
+extern const char* const program_name;
 inline constexpr const char* car_media_type = "application/vnd.crumple.car";
 inline constexpr const char* world_media_type = "application/vnd.crumple.world";
 
 // What a fresh world is made of.
 struct RecordingHead {
-  std::string program = std::string("crumple ") + program_version;
+  std::string program = program_name;
   std::string scene;
   std::string started;  // UTC
   double rate = 60;
@@ -59,17 +61,21 @@ class Recording {
   void input(uint64_t tick, const Message&, uint64_t time_ns);
   void output(uint64_t tick, const Message&, uint64_t time_ns);
   void end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns);
-  uint64_t lost() const { return recorder_lost(recorder_); }
+  uint64_t lost() const { return recorder_lost(recorder_) + undeclared_; }
+  // The sentence of the trouble that ended the recording early, or "".
+  std::string trouble() const { return recorder_trouble(recorder_); }
   // Writes what waits. Gives the sentence of the first trouble, or "".
   std::string close();
 
  private:
+  int id_of(const std::string& key, Channel);  // of the channel in the file; negative: it could not be declared now
   bool write(const std::string& key, Channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size);
 
   Recorder* recorder_ = nullptr;
   std::string root_;
   std::map<std::string, int, std::less<>> channels_;  // by key
   std::map<std::string, int, std::less<>> schemas_;   // by table
+  uint64_t undeclared_ = 0;                           // messages lost because their channel could not be declared
   uint64_t lost_inputs_ = 0;                          // of the tick being recorded
 };
 

@@ -17,7 +17,7 @@ namespace {
 struct Verdict {
   uint64_t identical = 0;
   uint64_t differs = 0;  // first differing tick; 0: none
-  uint64_t lost = 0;     // first tick whose inputs are not all in the file; 0: none
+  uint64_t lost = 0;     // first tick before whose end something is not in the file; 0: none
 };
 
 const schema::TickEnd& tick_end_of(const RecordingReader::Item& item) {
@@ -41,11 +41,16 @@ Verdict verify(RecordingReader& file, int threads, const std::atomic<bool>& stop
       inbox.push_back({std::string(item.key), {bytes, bytes + item.bytes.size()}, item.channel == Channel::command ? 1u : 0u});
     } else if (item.channel == Channel::tick_end) {
       const schema::TickEnd& end = tick_end_of(item);
+      if (end.lost_inputs() > 0 || end.tick() != tick_count(*world) + 1) {
+        verdict.lost = end.tick();
+        break;
+      }
       tick(*world, inbox, outbox, threads);
       inbox.clear();
-      if (end.lost_inputs() > 0) verdict.lost = end.tick();
-      if (hash(*world) != end.hash() || tick_count(*world) != end.tick()) verdict.differs = end.tick();
-      if (verdict.lost || verdict.differs) break;
+      if (hash(*world) != end.hash()) {
+        verdict.differs = end.tick();
+        break;
+      }
       ++verdict.identical;
     }
   }
@@ -61,16 +66,24 @@ bool verify_file(const std::string& path, int threads, const std::atomic<bool>& 
   if (verdict.lost) {
     std::printf("%s: %llu ticks identical; tick %llu lost inputs when it was recorded: what follows cannot be verified\n",
                 path.c_str(), number(verdict.identical), number(verdict.lost));
+  } else if (verdict.differs && file.head().program == program_name) {
+    std::printf(
+        "%s: tick %llu differs, after %llu identical ones; recorded by %s, as this is: the file was changed, or this "
+        "machine computes otherwise\n",
+        path.c_str(), number(verdict.differs), number(verdict.identical), program_name);
   } else if (verdict.differs) {
-    std::printf("%s: tick %llu differs, after %llu identical ones (recorded by %s)\n", path.c_str(), number(verdict.differs),
-                number(verdict.identical), file.head().program.c_str());
+    std::printf("%s: tick %llu differs, after %llu identical ones; recorded by %s, this is %s: verify it with that one\n",
+                path.c_str(), number(verdict.differs), number(verdict.identical), file.head().program.c_str(), program_name);
+  } else if (verdict.identical == 0) {
+    std::printf("%s: holds no whole tick, there is nothing to verify%s\n", path.c_str(),
+                file.cut() ? "; the file was cut off" : "");
   } else {
     std::printf("%s: every tick identical: %llu ticks (%.1f s) in %.1f s, %d thread%s%s\n", path.c_str(),
                 number(verdict.identical), static_cast<double>(verdict.identical) / file.head().rate, seconds, threads,
                 threads == 1 ? "" : "s", file.cut() ? "; the file was cut off, verified up to its last whole tick" : "");
   }
   std::fflush(stdout);
-  return !verdict.lost && !verdict.differs && !stop;
+  return !verdict.lost && !verdict.differs && verdict.identical > 0 && !stop;
 }
 
 }  // namespace

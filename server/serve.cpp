@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
 #include <ctime>
 #include <deque>
@@ -76,6 +77,7 @@ struct Server {
   std::string record;  // file
   std::optional<Recording> recording;
   Metrics* metrics = nullptr;
+  std::string recording_told;                    // the last sentence about its trouble
   std::set<std::string, std::less<>> announced;  // cars
   std::deque<Message> queries;                   // waiting; those for assets with their whole key
   size_t queries_bytes = 0;                      // of them
@@ -122,10 +124,12 @@ void start_world(Server& server) {
   set_clock(*server.world, [start = Clock::now()] { return std::chrono::duration<double>(Clock::now() - start).count(); });
 }
 
-// From here on; what the world holds already goes in front.
+// From here on; what the world holds already goes in front. Who stands by begins twice: that it could not record should show
+// before it is needed.
 void start_recording(Server& server) {
   const ServeOptions& options = server.options;
   if (options.record.empty()) return;
+  if (server.recording) server.recording->close();
   server.record = with_time(options.record);
   RecordingHead head;
   if (tick_count(*server.world) > 0) head.world = save_world(*server.world);
@@ -368,6 +372,18 @@ void tell_refusals(Server& server, uint64_t& told) {
   told = refused;
 }
 
+// What is wrong with the recording is said when it begins; how much it costs is in health.
+void tell_recording(Server& server) {
+  std::string trouble = server.recording->trouble();
+  if (trouble.empty() && server.recording->lost() > 0)
+    trouble = server.options.record +
+              ": loses messages, because the disk is slower than the recording; the server goes on, "
+              "replay --verify names the tick; record to a faster disk";
+  if (trouble.empty() || trouble == server.recording_told) return;
+  std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
+  server.recording_told = trouble;
+}
+
 void run(Server& server, const std::atomic<bool>& stop) {
   const auto period = std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / server.options.rate));
   const auto slack = std::chrono::duration_cast<Clock::duration>(late_share * period);
@@ -389,6 +405,7 @@ void run(Server& server, const std::atomic<bool>& stop) {
     next_health += std::chrono::seconds(1);
     publish_health(server);
     tell_refusals(server, told);
+    if (server.recording) tell_recording(server);
   }
 }
 
@@ -402,23 +419,16 @@ int finish(Server& server) {
   if (!server.recording) return server.replaced ? 1 : 0;
   const uint64_t lost = server.recording->lost();
   const std::string trouble = server.recording->close();
+  if (!trouble.empty() && trouble != server.recording_told) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
   if (lost > 0)
     std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(lost));
-  if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
   if (lost > 0 || !trouble.empty() || server.replaced) return 1;
   std::printf("recorded %s\n", server.record.c_str());
   return 0;
 }
 
-}  // namespace
-
-int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
-  Server server(options);
-  server.root = "crumple/1/" + options.scene + "/";
-  server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  server.pace.limit = 1e-3 * options.budget_ms;
-  start_world(server);
-  if (!options.check) open_network(server);
+void print_start(const Server& server) {
+  const ServeOptions& options = server.options;
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(),
               !options.connect.empty() ? options.connect.c_str()
               : server.net             ? net_endpoint(server.net)
@@ -429,15 +439,34 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
                 car->model.node.size(), car->model.vertex.size(), coarser_levels(*server.world, car->hash),
                 car->attribution.c_str());
   if (server.metrics) std::printf("metrics at http://%s/metrics\n", metrics_address(server.metrics));
-  if (options.check) {
-    std::printf("the configuration is good\n");
-    return 0;
-  }
-  if (options.standby) std::printf("stands by for the server of scene %s\n", options.scene.c_str());
+  if (options.check) std::printf("the configuration is good\n");
+  if (options.standby && !options.check) std::printf("stands by for the server of scene %s\n", options.scene.c_str());
   std::fflush(stdout);
-  if (!become_owner(server, stop)) return 0;
-  renew(*server.world);
-  start_recording(server);
+}
+
+}  // namespace
+
+int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
+  // A recording may meet a limit on file sizes, or be a pipe whose reader goes: like a full disk, that does not end the server.
+  std::signal(SIGXFSZ, SIG_IGN);
+  std::signal(SIGPIPE, SIG_IGN);
+  Server server(options);
+  server.root = "crumple/1/" + options.scene + "/";
+  server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  server.pace.limit = 1e-3 * options.budget_ms;
+  start_world(server);
+  if (!options.check) {
+    open_network(server);
+    if (!options.standby && !become_owner(server, stop)) return 0;
+    start_recording(server);
+  }
+  print_start(server);
+  if (options.check) return 0;
+  if (options.standby) {
+    if (!become_owner(server, stop)) return 0;
+    renew(*server.world);
+    start_recording(server);
+  }
   open_scene(server);
   run(server, stop);
   return finish(server);

@@ -68,6 +68,7 @@ class Process {
     return true;
   }
   void send(int signal) const { kill(child_, signal); }
+  pid_t id() const { return child_; }
   // Exit code, or minus the signal that ended it.
   int wait() {
     read_until(std::string(1, '\0'));  // to the end of its output

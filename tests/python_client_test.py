@@ -1,21 +1,26 @@
 """A host and viewer in plain Python: PyPI eclipse-zenoh and flatbuffers, and the code that flatc generates from schema/.
 
-Starts a server, spawns a car, drives it into a wall, and reads keyframes and deltas until the dent shows. Also the shortest
-example of the contract for other languages.
+Starts a server, spawns a car, drives it into a wall, and reads keyframes and deltas until the dent shows. Then reads the
+recording of it with PyPI mcap: by its index, and with no schema but its own. Also the shortest example of the contract for
+other languages.
 
     python tests/python_client_test.py build/crumple CAR
 """
 
 import importlib
+import json
 import pathlib
 import queue
 import re
 import subprocess
 import sys
+import tempfile
 import time
 
 import flatbuffers
 import zenoh
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "clients" / "python"))
 import schema  # noqa: E402,F401  makes crumple.schema
@@ -52,8 +57,8 @@ def pose(x=0.0, y=0.0, z=0.0):
 
 
 class Server:
-    def __init__(self, program, car):
-        command = [program, "serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "py"]
+    def __init__(self, program, car, recording):
+        command = [program, "serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "py", "--record", recording]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         first = self.process.stdout.readline()
         assert first, "the server did not start; it says why above"
@@ -161,14 +166,65 @@ def crash(session, asset):
     print(f"{deltas} deltas, deepest displacement {0.5 * surface.deepest():.1f} mm")
 
 
+def explained(schema, data, folder):
+    """A message as JSON, by flatc and the schema that the recording carries: nothing else is known of it."""
+    (folder / "own.bfbs").write_bytes(schema.data)
+    (folder / "message.bin").write_bytes(data)
+    flatc = pathlib.Path(sys.executable).parent / "flatc"
+    subprocess.run([flatc, "--json", "--strict-json", "--raw-binary", "--root-type", schema.name, "-o", folder,
+                    folder / "own.bfbs", "--", folder / "message.bin"], check=True)
+    return json.loads((folder / "message.json").read_text())
+
+
+def by_index(path):
+    """All messages by the index at the end of the file, which has to agree with them."""
+    with open(path, "rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary and summary.chunk_indexes and summary.attachment_indexes and summary.metadata_indexes, f"{path}: no index"
+        messages = [(channel.topic, message.sequence, message.log_time, message.data, schema)
+                    for schema, channel, message in reader.iter_messages(log_time_order=False)]
+        assert summary.statistics.message_count == len(messages)
+        assert all(schema.encoding == "flatbuffer" for schema in summary.schemas.values())
+        return messages
+
+
+def opens(path):
+    try:
+        return bool(by_index(path))
+    except (AssertionError, McapError):
+        return False
+
+
+def check_recording(program, folder):
+    recording, cut, whole = folder / "py.mcap", folder / "cut.mcap", folder / "whole.mcap"
+    messages = by_index(recording)
+    reactions = next(m for m in messages if m[0] == "crumple/1/py/host/python/reactions")
+    told = explained(reactions[4], reactions[3], folder)
+    mine = table("Reactions").GetRootAs(reactions[3])
+    assert told["tick"] == mine.Tick() == reactions[1] and told["cars"][0]["car"] == "py1", told
+    assert abs(told["cars"][0]["impulse"]["x"] - mine.Cars(0).Impulse().X()) < 1, told
+
+    cut.write_bytes(recording.read_bytes()[:-3000])
+    assert not opens(cut), "a file that was cut has no index"
+    subprocess.run([program, "recover", cut, "-o", whole], check=True)
+    kept = [m[:4] for m in by_index(whole)]
+    assert kept and kept == [m[:4] for m in messages][: len(kept)], "recover changed messages"
+    assert kept[-1][0].endswith(("/tick", "/health")), "recover ends within a tick"
+    print(f"{len(messages)} messages recorded, {len(kept)} after a cut")
+
+
 def main(program, car):
-    with Server(program, car) as server:
-        config = zenoh.Config()
-        config.insert_json5("mode", '"client"')
-        config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
-        config.insert_json5("scouting/multicast/enabled", "false")
-        with zenoh.open(config) as session:
-            crash(session, server.asset)
+    with tempfile.TemporaryDirectory(prefix="crumple_test_") as name:
+        folder = pathlib.Path(name)
+        with Server(program, car, folder / "py.mcap") as server:
+            config = zenoh.Config()
+            config.insert_json5("mode", '"client"')
+            config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
+            config.insert_json5("scouting/multicast/enabled", "false")
+            with zenoh.open(config) as session:
+                crash(session, server.asset)
+        check_recording(program, folder)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,11 @@
 
 #include <chrono>
 #include <cstdio>
-#include <fstream>
 #include <stdexcept>
 #include <vector>
 
 #include "cpp/crumple_client.h"
+#include "cpp/obj.h"
 
 namespace crumple::client {
 namespace {
@@ -64,23 +64,15 @@ CrumpleMesh mesh_of(Crumple* session, const CrumpleSurface& surface) {
   return mesh;
 }
 
-void write_obj(Crumple* session, const std::string& id, const std::string& path) {
+void write_surface(Crumple* session, const std::string& id, const std::string& path) {
   CrumpleSurface surface{};
   need(crumple_surface(session, id.c_str(), &surface));
   const CrumpleMesh mesh = mesh_of(session, surface);
   need(crumple_surface(session, id.c_str(), &surface));
   std::vector<float> displacement(size_t{3} * mesh.vertex_count);
   need(crumple_copy(session, id.c_str(), displacement.data(), 12, mesh.vertex_count));
-  std::ofstream file(path);
-  file << "# " << mesh.attribution << "\n# car " << id << ", tick " << surface.tick << "\n";
-  for (size_t i = 0; i < displacement.size(); i += 3) {
-    file << "v";
-    for (size_t axis = 0; axis < 3; ++axis) file << ' ' << mesh.vertex[i + axis] + displacement[i + axis];
-    file << '\n';
-  }
-  for (size_t i = 0; i < size_t{3} * mesh.triangle_count; i += 3)
-    file << "f " << mesh.triangle[i] + 1 << ' ' << mesh.triangle[i + 1] + 1 << ' ' << mesh.triangle[i + 2] + 1 << '\n';
-  if (!file.flush()) throw std::runtime_error(path + ": cannot be written: give --obj a path that can");
+  write_obj(path, mesh.attribution, id, surface.tick, {mesh.vertex, displacement.size()}, displacement,
+            {mesh.triangle, size_t{3} * mesh.triangle_count});
   std::printf("wrote %s\n", path.c_str());
 }
 
@@ -114,7 +106,7 @@ int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
                  options.car.empty() ? "" : " of car ", options.car.c_str());
     return 1;
   }
-  if (!options.obj.empty()) write_obj(session.handle, held.front(), options.obj);
+  if (!options.obj.empty()) write_surface(session.handle, held.front(), options.obj);
   return 0;
 }
 

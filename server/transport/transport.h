@@ -29,10 +29,10 @@ const char* transport_version(void);
 
 typedef struct Net Net;
 
-// mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447", comma separated, or NULL.
-// config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16
-// batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns
-// its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
+// mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447",
+// comma separated, or NULL. config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip
+// scouting, lease 3 s, 16 batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that
+// listens on port 0 learns its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
 int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
 // Whether zenoh would take this configuration (JSON5, not NULL); opens nothing.
 int net_check(const char* config);
@@ -110,7 +110,7 @@ typedef struct Recorder Recorder;
 
 // Creates the file and a thread that writes it: whole records only (no seeking back), chunks of 256 KiB or one second,
 // whichever comes first, synced each second: what is older than a second survives kill -9. Each call below takes a copy into
-// a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, counted) and returns at once.
+// a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, messages counted) and returns at once.
 int recorder_open(const char* path, const char* profile, const char* library, Recorder** out);
 // Schema of encoding "flatbuffer" (data: .bfbs), and a channel with message encoding "flatbuffer". Return an id >= 0.
 int recorder_schema(Recorder*, const char* name, const void* bfbs, size_t size);
@@ -130,7 +130,9 @@ typedef struct Reader Reader;
 
 typedef struct ReaderMessage {
   const char* topic;
-  const char* schema;
+  const char* schema;  // its name, and its .bfbs
+  const uint8_t* bfbs;
+  size_t bfbs_size;
   const uint8_t* data;  // aligned to 16 bytes; valid until the next reader_next or reader_rewind
   size_t size;
   uint32_t sequence;

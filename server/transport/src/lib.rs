@@ -472,6 +472,8 @@ pub unsafe extern "C" fn reader_cut(handle: *const ReaderHandle) -> c_int {
 pub struct ReaderMessage {
     topic: *const c_char,
     schema: *const c_char,
+    bfbs: *const u8,
+    bfbs_size: usize,
     data: *const u8,
     size: usize,
     sequence: u32,
@@ -486,7 +488,9 @@ pub unsafe extern "C" fn reader_next(handle: *mut ReaderHandle, out: *mut Reader
         let Some(message) = handle.reader.next()? else { return Ok(0) };
         *out = ReaderMessage {
             topic: message.topic.as_ptr(),
-            schema: message.schema.as_ptr(),
+            schema: message.schema.name.as_ptr(),
+            bfbs: message.schema.data.as_ptr(),
+            bfbs_size: message.schema.data.len(),
             data: message.data.as_ptr(),
             size: message.data.len(),
             sequence: message.sequence,
@@ -542,4 +546,4 @@ pub unsafe extern "C" fn reader_metadata(
 }
 
 // The same numbers stand in tests/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 72 && size_of::<ReaderMessage>() == 56);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 72 && size_of::<ReaderMessage>() == 72);

@@ -11,6 +11,7 @@ use std::collections::HashMap;
 use std::ffi::CString;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom, Take};
+use std::rc::Rc;
 
 /// One record in memory: protects from a length that a damaged or hostile file claims.
 const MAX_RECORD: u64 = 256 << 20;
@@ -27,9 +28,15 @@ pub struct Metadata {
     pub pairs: Vec<CString>, // key, value, key, value, ...
 }
 
+#[derive(Default)]
+pub struct Schema {
+    pub name: CString,
+    pub data: Vec<u8>, // .bfbs
+}
+
 pub struct Message<'a> {
     pub topic: &'a CString,
-    pub schema: &'a CString,
+    pub schema: &'a Schema,
     pub data: &'a [u8],
     pub sequence: u32,
     pub log_time: u64,
@@ -40,8 +47,8 @@ pub struct Reader {
     path: String,
     contents: Contents,
     stream: Stream,
-    schemas: HashMap<u16, CString>,
-    channels: HashMap<u16, (CString, CString)>, // topic, schema
+    schemas: HashMap<u16, Rc<Schema>>,
+    channels: HashMap<u16, (CString, Rc<Schema>)>, // topic, schema
     current: Aligned,
     failed: Option<Fail>,
 }
@@ -120,8 +127,9 @@ impl Reader {
                 }
                 LinearReadEvent::Record { data, opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE) } => {
                     match mcap::parse_record(opcode, data).map_err(|e| causes(&e))? {
-                        Record::Schema { header, .. } => {
-                            self.schemas.insert(header.id, c_string(header.name));
+                        Record::Schema { header, data } => {
+                            let schema = Schema { name: c_string(header.name), data: data.into_owned() };
+                            self.schemas.insert(header.id, Rc::new(schema));
                         }
                         Record::Channel(channel) => {
                             let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();

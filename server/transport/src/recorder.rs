@@ -86,7 +86,7 @@ impl Recorder {
     pub fn schema(&self, name: String, bfbs: Vec<u8>) -> Result<usize, Fail> {
         let mut ids = self.ids.lock().unwrap();
         if ids.0 >= MAX_IDS {
-            return Err(Fail::new(DROPPED, format!("schema {name}: a recording holds at most {MAX_IDS} schemas")));
+            return Err(bad(format!("schema {name}: a recording holds at most {MAX_IDS} schemas")));
         }
         let bytes = bfbs.len();
         self.push(Item::Schema { name, bfbs }, bytes)?;
@@ -101,7 +101,7 @@ impl Recorder {
             return Err(bad(format!("channel {topic}: schema {schema} is not one of the {given} that recorder_schema gave")));
         }
         if ids.1 >= MAX_IDS {
-            return Err(Fail::new(DROPPED, format!("channel {topic}: a recording holds at most {MAX_IDS} channels")));
+            return Err(bad(format!("channel {topic}: a recording holds at most {MAX_IDS} channels")));
         }
         self.push(Item::Channel { topic, schema }, 0)?;
         ids.1 += 1;

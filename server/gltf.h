@@ -1,0 +1,34 @@
+// One body whose shape and pose change, as a film in one GLB file (glTF 2.0): a mesh with a morph target for each shape, a node
+// that moves, and one animation of both. Written by hand, because assimp's exporter leaves animations of morph targets out.
+#pragma once
+
+#include <functional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "sim/model.h"
+#include "sim/obstacle.h"
+
+namespace crumple {
+
+struct Animation {
+  struct Key {
+    double time = 0;  // s; ascending
+    Pose pose;
+    size_t shape = 0;  // 0: rest; i: displacement(i - 1)
+  };
+  std::string name;
+  std::string copyright;
+  std::span<const Vec3> vertex;        // at rest, m, car's frame
+  std::span<const uint32_t> triangle;  // 3 each
+  size_t shapes = 0;
+  std::function<std::vector<Vec3>(size_t)> displacement;  // of every vertex from rest, m
+  std::vector<Key> keys;
+};
+
+// Shapes and poses are interpolated linearly between keys. Throws std::runtime_error with one sentence: the file cannot be
+// written, or would be over the 4 GiB of the format.
+void write_glb(const std::string& path, const Animation&);
+
+}  // namespace crumple
