@@ -462,6 +462,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   }
   print_start(server);
   if (options.check) return 0;
+  warm_up(*server.world, server.threads);
   if (options.standby) {
     if (!become_owner(server, stop)) return 0;
     renew(*server.world);

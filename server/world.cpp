@@ -4,6 +4,9 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <thread>
 
 #include "state.h"
 #include "wire/encode.h"
@@ -152,11 +155,27 @@ void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
   tally.work_shed += tally.shed;
 }
 
+void open_arena(World& world, int threads) {
+  if (world.arena && world.arena_threads == threads) return;
+  world.arena.emplace(threads);
+  world.arena_threads = threads;
+}
+
+// A tick of an undamaged car with a wall at its nose.
+void crash_once(const Car& car, double seconds, Worker& worker) {
+  Body body = make_body(car.model);
+  Motion motion;
+  motion.velocity.x() = 15;  // m/s
+  float nose = 0;
+  for (const Vec3& node : car.model.node) nose = std::max(nose, node.x());
+  Obstacle wall;
+  make_box({1, 10, 10}, wall);
+  wall.pose.position.x() = double(nose) + 1;
+  deform(car.model, {}, {}, {&wall, 1}, seconds, *worker.scratch, body, motion);
+}
+
 void advance_cars(World& world, int threads) {
-  if (!world.arena || world.arena_threads != threads) {
-    world.arena.emplace(threads);
-    world.arena_threads = threads;
-  }
+  open_arena(world, threads);
   std::vector<Instance*> cars;
   for (auto& [id, car] : world.cars) cars.push_back(&car);
   for_each_car(world, cars, 16, prepare_car);
@@ -224,6 +243,26 @@ void close_tally(Tally& tally) {
 }
 
 }  // namespace
+
+void warm_up(World& world, int threads) {
+  open_arena(world, std::max(1, threads));
+  // Each waits for all others, so that no thread takes two turns; a thread that never comes is not waited for.
+  std::atomic<int> here{0};
+  world.arena->execute([&] {
+    tbb::parallel_for(
+        tbb::blocked_range<int>(0, std::max(1, threads), 1),
+        [&](const tbb::blocked_range<int>&) {
+          Worker& worker = world.workers.local();
+          ++here;
+          for (int turns = 0; here < threads && turns < 1'000; ++turns)
+            std::this_thread::sleep_for(std::chrono::milliseconds(1));
+          tbb::this_task_arena::isolate([&] {
+            for (const auto& [hash, levels] : world.assets) crash_once(*levels.front(), 1 / world.rate, worker);
+          });
+        },
+        tbb::simple_partitioner{});
+  });
+}
 
 void tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
   StageTimes& times = world.tally.now;

@@ -315,6 +315,15 @@ std::vector<uint64_t> hashes_of_a_pile_up(int threads) {
   return hashes;
 }
 
+TEST(World, IsTheSameWhetherItWasWarmedUpOrNot) {
+  Scene cold, warm;
+  warm_up(*warm.world, 2);
+  EXPECT_GE(warm.world->workers.size(), 1u);
+  crash(cold, 20);
+  crash(warm, 20);
+  EXPECT_EQ(hash(*warm.world), hash(*cold.world));
+}
+
 TEST(World, IsTheSameBitForBitWithOneTwoAndFourThreads) {
   const tbb::global_control four(tbb::global_control::max_allowed_parallelism, 4);
   const auto one = hashes_of_a_pile_up(1);
