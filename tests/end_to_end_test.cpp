@@ -141,7 +141,9 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   EXPECT_EQ(standby->text.find("did not hold"), std::string::npos) << standby->text;
   const auto told_anew = [&] { return crumple_surface(viewer, "box", &held) == CRUMPLE_OK && held.tick > tick && held.alive; };
   ASSERT_TRUE(until(viewer, told_anew));
-  EXPECT_LT(Clock::now() - killed, std::chrono::seconds(30)) << "5 s on a machine that does nothing else";
+  const double seconds = std::chrono::duration<double>(Clock::now() - killed).count();
+  std::printf("the viewer holds the next tick %.0f ms after the kill\n", 1e3 * seconds);
+  EXPECT_LT(seconds, 30) << "5 s on a machine that does nothing else";
   EXPECT_GT(deepest(viewer), dent / 2) << "the dents of the killed server";
 
   // When all is calm, whoever comes now is told the same.
