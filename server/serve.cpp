@@ -179,12 +179,13 @@ void watch_owners(Server& server, const NetEvent& event) {
 bool become_owner(Server& server, const std::atomic<bool>& stop) {
   if (server.options.standby) {
     const auto epoch = stand_by(server.net, {server.root, server.owner.id, server.threads}, *server.world, stop);
-    if (epoch) server.owner.epoch = *epoch;
-    return epoch.has_value();
+    if (!epoch) return false;
+    server.owner.epoch = *epoch;
+    need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
+    return true;
   }
   need(net_watch(server.net, (server.root + "owner/*").c_str()));
-  if (server.options.connect.empty()) return true;
-  const auto until = Clock::now() + look;
+  const auto until = Clock::now() + (server.options.connect.empty() ? std::chrono::milliseconds(0) : look);
   while (Clock::now() < until && !stop) {
     NetEvent events[16];
     const int got = net_poll(server.net, events, 16, 50'000);
@@ -194,6 +195,7 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
         throw std::runtime_error("scene " + server.options.scene +
                                  " has a server already: wait for its end with --standby, or serve another --scene");
   }
+  if (!stop) need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
   return !stop;
 }
 
@@ -203,7 +205,6 @@ void open_scene(Server& server) {
   for (const char* what : {"car/*", "car/*/key", "replica/world"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
   need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
-  need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
   need(net_announce(server.net, (server.root + "server").c_str()));
   for (const std::string& car : cars(*server.world)) {
     server.announced.insert("car/" + car);
@@ -427,6 +428,18 @@ int finish(Server& server) {
   return 0;
 }
 
+// Of a world that another server had until now. Trouble with the recording must not end the one server that holds it.
+void take_over(Server& server) {
+  renew(*server.world);
+  if (server.pace.limit == 0) server.inbox.push_back(budget_message(0));  // not the limit of the other
+  try {
+    start_recording(server);
+  } catch (const std::exception& error) {
+    server.recording.reset();
+    std::fprintf(stderr, "crumple serve: %s; goes on without\n", error.what());
+  }
+}
+
 void print_start(const Server& server) {
   const ServeOptions& options = server.options;
   std::printf("scene %s at %s, %g ticks a second, %d thread%s\n", options.scene.c_str(),
@@ -454,19 +467,20 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   server.root = "crumple/1/" + options.scene + "/";
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   server.pace.limit = 1e-3 * options.budget_ms;
+  if (options.standby && options.connect.empty())
+    throw std::runtime_error("--standby needs --connect: it meets the scene's server at a router");
   start_world(server);
   if (!options.check) {
+    warm_up(*server.world, server.threads);
     open_network(server);
     if (!options.standby && !become_owner(server, stop)) return 0;
     start_recording(server);
   }
   print_start(server);
   if (options.check) return 0;
-  warm_up(*server.world, server.threads);
   if (options.standby) {
     if (!become_owner(server, stop)) return 0;
-    renew(*server.world);
-    start_recording(server);
+    take_over(server);
   }
   open_scene(server);
   run(server, stop);

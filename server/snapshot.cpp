@@ -128,13 +128,19 @@ void field(File& file, Instance& car) {
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 
-// What the sizes of a body's lists must be, and whether its history can be gone on with.
+// What the sizes of a body's lists must be, and whether its history can be gone on with: no sum covers that one's lists.
 void check(const Model& model, const Instance& car) {
   const Body& body = car.body;
   const auto fits = [&](size_t size, size_t wanted) { return size == 0 || size == wanted; };
-  bool good = !refuse_state(model, body) && hash(body) == car.hashes[0] && fits(body.step.size(), model.node.size());
-  good &= body.history.count >= 0 && body.history.count <= mixing_depth;
-  good &= body.history.next >= 0 && body.history.next < mixing_depth;
+  bool good = hash(body) == car.hashes[0] && body.node.size() == model.node.size() && fits(body.step.size(), model.node.size());
+  good &= body.gradients.size() == model.tet.size() && body.hardening.size() == model.tet.size();
+  good &= body.tet_rest.size() == model.tet.size() && body.edge_rest.size() == model.edge.size();
+  const History& history = body.history;
+  good &= history.count >= 0 && history.count <= mixing_depth && history.next >= 0 && history.next < mixing_depth;
+  for (int k = 0; good && k < history.count; ++k) {
+    const size_t size = history.residual[size_t(k)].size();
+    good &= size == history.residual[0].size() && size == history.result[size_t(k)].size() && size >= model.node.size();
+  }
   good &= fits(car.told.keyframe.size(), 3 * car.levels->front()->skin_node.size());
   good &= fits(car.told.latest.size(), 3 * car.levels->front()->skin_node.size());
   if (!good) throw std::runtime_error("the snapshot of the world is damaged: a body does not fit its car");

@@ -18,11 +18,17 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr uint32_t inputs_depth = 4096;                // ticks that may wait while the world is fetched: a minute
-constexpr std::chrono::milliseconds first_look{1000};  // at the start: no owner is seen within this, so there is none
-constexpr std::chrono::milliseconds precedence{2000};  // that another, whose id is lower, has to take over before this one
-constexpr std::chrono::milliseconds ask_again{500};    // after an answer that did not come
-constexpr uint32_t answer_ms = 2000;
+constexpr uint32_t inputs_depth = 4096;             // ticks that may wait while the world is fetched: a minute
+constexpr size_t ticks_at_once = 256;               // when they catch up, between two looks at the network
+constexpr std::chrono::seconds first_look{1};       // no owner is seen within this of the first link: so there is none
+constexpr std::chrono::seconds precedence{2};       // that another has to take over before this one
+constexpr std::chrono::milliseconds settling{200};  // until it is known whether the owner is gone or the own line is cut
+constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
+constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
+constexpr uint32_t answer_ms = 30'000;                          // for a piece: 4 MiB over 1.2 Mb/s
+// Of the owner.
+constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
+constexpr size_t snapshots_most = 4;
 
 void need(int status) {
   if (status < 0) throw std::runtime_error(transport_error());
@@ -32,16 +38,20 @@ struct Standby {
   Net* net;
   const StandbyOptions& options;
   World& world;
-  std::set<Owner> owners;
-  std::set<std::string> others;                     // that stand by as well
+  std::set<Owner> owners = {};
+  std::set<std::string> names = {};  // of all that stand by, this one among them
+  std::string name = {};             // "0-{id}" while it holds the owner's world, else "1-{id}": the lowest takes over
   std::deque<std::vector<std::byte>> waiting = {};  // Inputs
   bool same = false;                                // the world is the owner's, as of its tick
   uint64_t epoch = 0;                               // the latest seen
+  bool linked = false;                              // and not only seen so far
   Clock::time_point alone = Clock::now();           // since when no owner is seen
   uint64_t asking = 0;                              // ticket; 0: none
+  uint64_t asker = 0;
   Clock::time_point ask_at{};
+  Clock::duration pause = pause_least;
   std::vector<std::byte> pieces = {};
-  uint64_t followed = 0;  // ticks
+  uint64_t followed = 0;  // ticks since the world came
 };
 
 const schema::Inputs* inputs_of(const std::vector<std::byte>& bytes) {
@@ -49,21 +59,54 @@ const schema::Inputs* inputs_of(const std::vector<std::byte>& bytes) {
   return verifier.VerifyBuffer<schema::Inputs>(nullptr) ? flatbuffers::GetRoot<schema::Inputs>(bytes.data()) : nullptr;
 }
 
+// In the token stands whether this one holds the world: one that does goes before one that does not.
+void announce(Standby& standby) {
+  const std::string name = (standby.same ? "0-" : "1-") + standby.options.id;
+  if (name == standby.name) return;
+  const std::string root = standby.options.root + "standby/";
+  if (!standby.name.empty()) need(net_retract(standby.net, (root + standby.name).c_str()));
+  standby.name = name;
+  need(net_announce(standby.net, (root + name).c_str()));
+}
+
 void ask_for_world(Standby& standby, uint64_t offset) {
-  if (offset == 0) standby.pieces.clear();
-  need(net_get(standby.net, (standby.options.root + "replica/world").c_str(), &offset, sizeof offset, answer_ms,
+  if (offset == 0) {
+    standby.pieces.clear();
+    standby.waiting.clear();  // the snapshot knows of them
+    ++standby.asker;
+  }
+  const auto question = world_question(offset, standby.asker);
+  need(net_get(standby.net, (standby.options.root + "replica/world").c_str(), question.data(), question.size(), answer_ms,
                &standby.asking));
 }
 
+void ask_later(Standby& standby) {
+  standby.ask_at = Clock::now() + standby.pause;
+  standby.pause = std::min<Clock::duration>(2 * standby.pause, pause_most);
+}
+
+void give_up_fetching(Standby& standby, const std::string& why) {
+  std::fprintf(stderr, "crumple serve: cannot hold the owner's world: %s\n", why.c_str());
+  standby.asking = 0;
+  standby.pieces = {};
+  ask_later(standby);
+}
+
 void take_world(Standby& standby, const NetEvent& event) {
-  if (event.failed) return;
+  if (event.failed)
+    return give_up_fetching(standby, {reinterpret_cast<const char*>(event.data), std::min<size_t>(event.size, 500)});
   const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
   standby.pieces.insert(standby.pieces.end(), bytes, bytes + event.size);
   if (event.size == asset_piece) return ask_for_world(standby, standby.pieces.size());
-  load_world(standby.pieces, standby.world);
+  try {
+    load_world(standby.pieces, standby.world);
+  } catch (const std::runtime_error& error) {
+    return give_up_fetching(standby, error.what());
+  }
   standby.pieces = {};
   standby.asking = 0;
   standby.same = true;
+  standby.followed = 0;
   std::printf("stands by: holds the world of tick %llu, %zu cars\n", static_cast<unsigned long long>(tick_count(standby.world)),
               cars(standby.world).size());
   std::fflush(stdout);
@@ -72,7 +115,7 @@ void take_world(Standby& standby, const NetEvent& event) {
 // Makes the ticks whose inputs are there. One that is missing, or that comes out otherwise, means to begin anew.
 void follow(Standby& standby) {
   Outbox unheard;
-  while (standby.same && !standby.waiting.empty()) {
+  for (size_t k = 0; k < ticks_at_once && standby.same && !standby.waiting.empty(); ++k) {
     const schema::Inputs* inputs = inputs_of(standby.waiting.front());
     const uint64_t next = tick_count(standby.world) + 1;
     if (inputs && inputs->tick() >= next) {
@@ -91,8 +134,9 @@ void follow(Standby& standby) {
         std::fprintf(stderr, "crumple serve: out of step with the owner at its tick %llu: asks for its world again\n",
                      static_cast<unsigned long long>(inputs->tick()));
         standby.same = false;
-      } else {
-        ++standby.followed;
+        ask_later(standby);
+      } else if (++standby.followed == calm_ticks) {
+        standby.pause = pause_least;
       }
     }
     standby.waiting.pop_front();
@@ -110,8 +154,8 @@ void take_token(Standby& standby, std::string_view key, bool alive) {
     }
     if (standby.owners.empty()) standby.alone = Clock::now();
   } else if (key.starts_with("standby/")) {
-    const std::string id(key.substr(8));
-    alive ? (void)standby.others.insert(id) : (void)standby.others.erase(id);
+    const std::string name(key.substr(8));
+    alive ? (void)standby.names.insert(name) : (void)standby.names.erase(name);
   }
 }
 
@@ -119,25 +163,36 @@ void take(Standby& standby, const NetEvent& event) {
   std::string_view key = event.key ? event.key : "";
   if (event.kind == NET_REPLY && event.ticket == standby.asking) return take_world(standby, event);
   if (event.kind == NET_REPLY_END && event.ticket == standby.asking) {
-    standby.asking = 0;
-    standby.ask_at = Clock::now() + ask_again;
+    standby.asking = 0;  // without an answer
+    ask_later(standby);
   }
   if (!key.starts_with(standby.options.root)) return;
   key.remove_prefix(standby.options.root.size());
   if (event.kind == NET_SAMPLE) {
     const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
     standby.waiting.emplace_back(bytes, bytes + event.size);
+    if (!standby.same && standby.waiting.size() > inputs_depth) standby.waiting.pop_front();
   } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
     take_token(standby, key, event.kind == NET_ALIVE);
   }
 }
 
-bool takes_over(const Standby& standby) {
-  if (!standby.owners.empty()) return false;
-  const auto alone = Clock::now() - standby.alone;
-  const bool first = standby.others.empty() || standby.options.id <= *standby.others.begin();
-  return alone >=
-         (first ? std::chrono::milliseconds(0) : precedence) + (standby.epoch == 0 ? first_look : std::chrono::milliseconds(0));
+bool takes_over(Standby& standby) {
+  if (!standby.owners.empty()) {
+    standby.linked = true;
+    return false;
+  }
+  // Where the own line is cut everybody seems gone: it is looked anew when there is one.
+  if (net_connected(standby.net) != 1) {
+    standby.alone = Clock::now();
+    standby.linked = false;
+    return false;
+  }
+  const bool first = standby.names.empty() || standby.name <= *standby.names.begin();
+  Clock::duration wait = settling;
+  if (!standby.linked) wait += first_look;
+  if (!first || (standby.epoch > 0 && !standby.same)) wait += precedence;
+  return Clock::now() - standby.alone >= wait;
 }
 
 }  // namespace
@@ -174,24 +229,49 @@ Message inputs_message(uint64_t tick, const Inbox& inbox, uint64_t hash) {
   return {"replica/inputs", {data, data + builder.GetSize()}};
 }
 
+std::vector<std::byte> world_question(uint64_t offset, uint64_t asker) {
+  std::vector<std::byte> out(2 * sizeof(uint64_t) + std::strlen(program_name));
+  std::memcpy(out.data(), &offset, sizeof offset);
+  std::memcpy(out.data() + sizeof offset, &asker, sizeof asker);
+  std::memcpy(out.data() + 2 * sizeof(uint64_t), program_name, std::strlen(program_name));
+  return out;
+}
+
 void WorldAnswers::answer(Net* net, const NetEvent& query, const World& world) {
-  uint64_t offset = 0;
-  if (query.size == sizeof offset) std::memcpy(&offset, query.data, sizeof offset);
-  if (offset == 0) snapshot_ = save_world(world);
-  const std::span rest = std::span(snapshot_).subspan(std::min<size_t>(offset, snapshot_.size()));
+  const auto refuse = [&](const std::string& sentence) { net_reply(net, query.ticket, sentence.data(), sentence.size(), 1); };
+  const auto now = Clock::now();
+  uint64_t offset = 0, asker = 0;
+  if (query.size < sizeof offset + sizeof asker) return refuse("a question for the world that is none");
+  std::memcpy(&offset, query.data, sizeof offset);
+  std::memcpy(&asker, query.data + sizeof offset, sizeof asker);
+  const std::string program(reinterpret_cast<const char*>(query.data) + 2 * sizeof(uint64_t),
+                            query.size - 2 * sizeof(uint64_t));
+  if (program != program_name) return refuse(std::string("the owner is ") + program_name + ": stand by with the same program");
+  std::erase_if(snapshots_, [&](const auto& each) { return now - each.second.asked > snapshot_kept; });
+  if (offset == 0) {
+    if (now - last_ < snapshot_pause || snapshots_.size() >= snapshots_most)
+      return refuse("the owner was asked for its world just now");
+    last_ = now;
+    snapshots_[asker] = {now, save_world(world)};
+  }
+  const auto found = snapshots_.find(asker);
+  if (found == snapshots_.end() || offset > found->second.bytes.size()) return refuse("this snapshot of the world is gone");
+  found->second.asked = now;
+  const std::span rest = std::span(found->second.bytes).subspan(offset);
   const auto piece = rest.first(std::min(rest.size(), asset_piece));
   net_reply(net, query.ticket, piece.data(), piece.size(), 0);
-  if (piece.size() < asset_piece) snapshot_ = {};
+  if (piece.size() < asset_piece) snapshots_.erase(found);
 }
 
 std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World& world, const std::atomic<bool>& stop) {
-  Standby standby{net, options, world, {}, {}};
+  Standby standby{net, options, world};
+  standby.asker = std::hash<std::string>()(options.id);
   need(net_subscribe(net, (options.root + "replica/inputs").c_str(), inputs_depth));
   for (const char* what : {"owner/*", "standby/*"}) need(net_watch(net, (options.root + what).c_str()));
-  need(net_announce(net, (options.root + "standby/" + options.id).c_str()));
   while (!stop) {
+    announce(standby);
     NetEvent events[64];
-    const int got = net_poll(net, events, 64, 50'000);
+    const int got = net_poll(net, events, 64, standby.waiting.empty() ? 50'000 : 0);
     need(got);
     for (int k = 0; k < got; ++k) take(standby, events[k]);
     follow(standby);
@@ -200,7 +280,7 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
       ask_for_world(standby, 0);
   }
   if (stop) return std::nullopt;
-  need(net_retract(net, (options.root + "standby/" + options.id).c_str()));
+  need(net_retract(net, (options.root + "standby/" + standby.name).c_str()));
   if (standby.epoch > 0) {
     std::printf("takes over at tick %llu, %zu cars, after %llu ticks beside the owner%s\n",
                 static_cast<unsigned long long>(tick_count(world)), cars(world).size(),

@@ -6,6 +6,8 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -30,13 +32,22 @@ std::string random_id();
 // Key "replica/inputs": to be sent before the tick's own messages, so that no viewer knows more than who stands by.
 Message inputs_message(uint64_t tick, const Inbox&, uint64_t hash);
 
-// Answers questions for the whole world, piece by piece (payload: offset, 8 bytes; 0 takes a new snapshot).
+// What a question for the world says: where the piece begins, a number of the asker's own for all pieces of one snapshot, and
+// its program, since another one would not make the same ticks.
+std::vector<std::byte> world_question(uint64_t offset, uint64_t asker);
+
+// Answers them. Offset 0 takes a new snapshot, at most one a second, since it takes some of a tick's time: 1 MB a damaged car.
 class WorldAnswers {
  public:
   void answer(Net*, const NetEvent&, const World&);
 
  private:
-  std::vector<std::byte> snapshot_;
+  struct Snapshot {
+    std::chrono::steady_clock::time_point asked;
+    std::vector<std::byte> bytes;
+  };
+  std::map<uint64_t, Snapshot> snapshots_;  // by asker
+  std::chrono::steady_clock::time_point last_{};
 };
 
 // ---- of who stands by ----

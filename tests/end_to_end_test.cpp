@@ -1,4 +1,6 @@
 // A session from its first pose to its recording, as a user sees it.
+#include <thread>
+
 #include "program.h"
 #include "schema/message_generated.h"
 #include "transport/transport.h"
@@ -164,6 +166,55 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   EXPECT_EQ(standby->wait(), 0) << standby->text;
   const Outcome verified = run({"replay", recording, "--verify"});
   EXPECT_EQ(verified.code, 0) << verified.text;
+}
+
+// Two stand by, one of them behind a router of its own that goes and comes again.
+TEST_F(EndToEnd, OneOfTwoThatStandByTakesOverAndNoneWhoseOwnLineIsCut) {
+  using Router = std::unique_ptr<Net, decltype(&net_close)>;
+  const auto route = [](const std::string& at, const char* to) {
+    Net* opened = nullptr;
+    EXPECT_EQ(net_open("router", at.c_str(), to, nullptr, 0, &opened), 0) << transport_error();
+    return Router(opened, net_close);
+  };
+  const Router router = route("tcp/127.0.0.1:0", nullptr);
+  endpoint = net_endpoint(router.get());
+  Router far = route("tcp/127.0.0.1:0", endpoint.c_str());
+  const std::string far_endpoint = net_endpoint(far.get());
+  const auto serve = [&](const std::string& at, bool standby) {
+    std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", at};
+    if (standby) arguments.push_back("--standby");
+    return std::make_unique<Process>(arguments);
+  };
+  const auto owner = serve(endpoint, false);
+  Crumple* host = open("game");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  const auto near_one = serve(endpoint, true), far_one = serve(far_endpoint, true);
+  ASSERT_TRUE(near_one->read_until("holds the world")) << near_one->text;
+  ASSERT_TRUE(far_one->read_until("holds the world")) << far_one->text;
+
+  far_one->text.clear();
+  far.reset();
+  std::this_thread::sleep_for(std::chrono::seconds(4));  // longer than all that it waits for before it takes over
+  far = route(far_endpoint, endpoint.c_str());
+  ASSERT_TRUE(far_one->read_until("holds the world")) << far_one->text;
+  EXPECT_EQ(far_one->text.find("takes over"), std::string::npos) << far_one->text;
+  CrumpleParameters keep = crumple_keep();
+  uint64_t ticket = 0;
+  EXPECT_TRUE(answer(host, crumple_set_parameters(host, "box", &keep, &ticket), ticket).ok) << "the owner serves on";
+
+  owner->send(SIGKILL);
+  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  CrumpleSurface held{};
+  EXPECT_TRUE(until(host, [&] { return crumple_surface(host, "box", &held) == CRUMPLE_OK && held.alive; }));
+  std::this_thread::sleep_for(std::chrono::seconds(3));  // for a second one that would take over
+  for (const auto& one : {near_one.get(), far_one.get()}) {
+    one->send(SIGTERM);
+    EXPECT_EQ(one->wait(), 0) << one->text;
+  }
+  const bool near_took = near_one->text.find("takes over") != std::string::npos;
+  const bool far_took = far_one->text.find("takes over") != std::string::npos;
+  EXPECT_NE(near_took, far_took) << near_one->text << far_one->text;
 }
 
 TEST_F(EndToEnd, ASceneHasOneServer) {

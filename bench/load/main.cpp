@@ -28,12 +28,11 @@ std::atomic<bool> interrupted{false};
 
 struct Process {
   pid_t id = 0;
-  bool stopped = false;
   ~Process() {
     if (id > 0) kill(id, SIGKILL), waitpid(id, nullptr, 0);
   }
   Process() = default;
-  Process(Process&& other) noexcept : id(std::exchange(other.id, 0)), stopped(other.stopped) {}
+  Process(Process&& other) noexcept : id(std::exchange(other.id, 0)) {}
   Process& operator=(Process&&) = delete;
 
   void start(const std::vector<std::string>& words, const std::string& log) {
@@ -51,6 +50,7 @@ struct Process {
     int status = 0;
     if (id <= 0) return 0;
     kill(id, signal);
+    kill(id, SIGCONT);  // it may be frozen
     waitpid(std::exchange(id, 0), &status, 0);
     return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
   }
@@ -270,6 +270,8 @@ void watch_over(Stage& stage) {
 
 int play(const Options& options) {
   std::filesystem::create_directories(options.folder);
+  for (const auto& file : std::filesystem::directory_iterator(options.folder))  // of an earlier run
+    if (file.path().filename().string().starts_with("viewer")) std::filesystem::remove(file);
   const auto car = load_car(options.cars.front());
   Stage stage(options);
   stage.run.recording = options.folder + "/load.mcap";

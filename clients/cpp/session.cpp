@@ -44,6 +44,7 @@ void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car)
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
   if (net_get(session.net, key.c_str(), nullptr, 0, timeout, &car.asking) != 0) return;
   session.key_tickets[car.asking] = id;
+  car.asked = Clock::now();
   car.unsure = false;
   ++session.statistics.asked;
 }
@@ -304,6 +305,7 @@ void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   FollowedCar* car = id.empty() ? nullptr : followed(session, id);
   if (!car) return;
   car->alive = alive;
+  car->doubtful = false;  // a new one is asked for its keyframe anyway
   car->fresh = true;
   if (alive) ask_for_keyframe(session, std::string(id), *car);
 }
@@ -329,8 +331,10 @@ void take(Crumple& session, const NetEvent& event) {
 
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
-  for (auto& [id, car] : session.cars)
-    if (car.doubtful || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
+  for (auto& [id, car] : session.cars) {
+    const bool doubtful = car.doubtful && car.alive && now - car.asked > silence;
+    if (doubtful || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
+  }
 }
 
 // Whoever was frozen finds seconds of old messages waiting. The answer to a question asked now comes after all of them.
@@ -341,6 +345,7 @@ void doubt_after_a_pause(Crumple& session) {
     if (!car.alive || car.surface.quanta.empty()) continue;
     session.key_tickets.erase(car.asking);  // asked before the pause
     car.asking = 0;
+    car.asked = {};
     car.doubtful = true;
   }
   ask_the_silent(session);

@@ -35,11 +35,12 @@ struct FollowedCar {
   Surface surface;
   bool alive = false;
   bool dirty = false;
-  bool unsure = false;       // a message came since the last keyframe that was asked for
-  bool doubtful = false;     // the session was not polled for long: what is held counts only after an answer to `asking`
-  bool fresh = true;         // the car (or its server) is a new one: the next keyframe counts whatever its tick
-  uint64_t asking = 0;       // ticket of the query for the keyframe; 0: none
-  Clock::time_point last{};  // of its last message
+  bool unsure = false;        // a message came since the last keyframe that was asked for
+  bool doubtful = false;      // the session was not polled for long: what is held counts only after an answer to `asking`
+  bool fresh = true;          // the car (or its server) is a new one: the next keyframe counts whatever its tick
+  Clock::time_point asked{};  // last, for its keyframe
+  uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
+  Clock::time_point last{};   // of its last message
 };
 
 struct CommandAnswer {

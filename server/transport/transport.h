@@ -64,6 +64,9 @@ int net_watch(Net*, const char* key_expression);
 // 1 if some other session subscribes to the key now; a cached flag, cheap. The first call, or put, declares the key: 0 until
 // then.
 int net_matching(Net*, const char* key);
+// 1 if this session is linked to another one now. Where the last link goes, all that was alive is reported gone: only its own
+// line is known to be cut then.
+int net_connected(Net*);
 
 enum NetKind { NET_SAMPLE, NET_QUERY, NET_REPLY, NET_REPLY_END, NET_ALIVE, NET_GONE };
 

@@ -205,6 +205,11 @@ pub unsafe extern "C" fn net_watch(net: *mut Net, key: *const c_char) -> c_int {
 }
 
 #[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_connected(net: *mut Net) -> c_int {
+    status(unsafe { borrow(net, "net") }.map(Net::connected), c_int::from)
+}
+
+#[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_matching(net: *mut Net, key: *const c_char) -> c_int {
     let matching = || unsafe { borrow(net, "net")?.matching(text(key, "key")?) };
     status(matching(), c_int::from)

@@ -142,6 +142,12 @@ impl Net {
         _ = self.session.close().wait();
     }
 
+    /// Whether some other session is linked to this one now.
+    pub fn connected(&self) -> bool {
+        let info = self.session.info();
+        info.routers_zid().wait().next().is_some() || info.peers_zid().wait().next().is_some()
+    }
+
     pub fn endpoint(&self) -> &CString {
         &self.endpoint
     }
