@@ -34,7 +34,7 @@ class Reader {
   std::span<const std::byte> left;
   void raw(void* data, size_t size) {
     if (size > left.size()) throw std::runtime_error("the snapshot of the world is cut off or damaged");
-    std::memcpy(data, left.data(), size);
+    if (size > 0) std::memcpy(data, left.data(), size);  // an empty list has no address
     left = left.subspan(size);
   }
   template <class List>

@@ -179,16 +179,17 @@ class Program : public testing::Test {
     pose.pose.orientation[3] = 1;
     pose.velocity[0] = 10;
     ASSERT_EQ(crumple_publish_poses(session, 0, &pose, 1), CRUMPLE_OK) << crumple_error();
-    int free_ticks = 0;
-    bool hit = false;
-    ASSERT_TRUE(until(session, [&] {
-      CrumpleReaction reaction;
-      while (crumple_take_reactions(session, &reaction, 1) == 1) {
-        hit |= reaction.contacts > 0;
-        free_ticks = hit && reaction.contacts == 0 ? free_ticks + 1 : 0;
-      }
-      return free_ticks >= 25;
-    })) << "no crash, or it does not end";
+    uint64_t touched = 0, now = 0;  // ticks; some reactions may be lost on a busy machine
+    ASSERT_TRUE(until(session,
+                      [&] {
+                        CrumpleReaction reaction;
+                        while (crumple_take_reactions(session, &reaction, 1) == 1) {
+                          now = reaction.tick;
+                          if (reaction.contacts > 0) touched = now;
+                        }
+                        return touched > 0 && now >= touched + 15;
+                      }))
+        << "no crash, or it does not end; the last touch in tick " << touched << ", the last reaction of tick " << now;
   }
 
   static uint64_t hash_held(Crumple* session) {
