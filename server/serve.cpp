@@ -415,7 +415,7 @@ int finish(Server& server) {
               static_cast<unsigned long long>(tick_count(*server.world)), static_cast<unsigned long long>(server.late),
               static_cast<unsigned long long>(refusal_count(*server.world)));
   if (server.replaced)
-    std::fprintf(stderr, "crumple serve: this server was cut off, and another has taken over scene %s: it ends here\n",
+    std::fprintf(stderr, "crumple serve: another has taken over scene %s: this server ends here\n",
                  server.options.scene.c_str());
   if (!server.recording) return server.replaced ? 1 : 0;
   const uint64_t lost = server.recording->lost();

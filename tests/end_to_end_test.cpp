@@ -169,7 +169,7 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
 }
 
 // Two stand by, one of them behind a router of its own that goes and comes again.
-TEST_F(EndToEnd, OneOfTwoThatStandByTakesOverAndNoneWhoseOwnLineIsCut) {
+TEST_F(EndToEnd, OneOfTwoThatStandByGoesOnAndNoneWhoseOwnLineIsCut) {
   using Router = std::unique_ptr<Net, decltype(&net_close)>;
   const auto route = [](const std::string& at, const char* to) {
     Net* opened = nullptr;
@@ -207,14 +207,19 @@ TEST_F(EndToEnd, OneOfTwoThatStandByTakesOverAndNoneWhoseOwnLineIsCut) {
   ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
   CrumpleSurface held{};
   EXPECT_TRUE(until(host, [&] { return crumple_surface(host, "box", &held) == CRUMPLE_OK && held.alive; }));
-  std::this_thread::sleep_for(std::chrono::seconds(3));  // for a second one that would take over
+  // One that does not see the token of the other (a router that was replaced may not have passed it on) takes over as well:
+  // then the later of the two owners' tokens counts.
+  std::this_thread::sleep_for(std::chrono::seconds(3));
+  int owners = 0;
   for (const auto& one : {near_one.get(), far_one.get()}) {
     one->send(SIGTERM);
-    EXPECT_EQ(one->wait(), 0) << one->text;
+    const int code = one->wait();
+    const bool took = one->text.find("takes over") != std::string::npos;
+    const bool gave_way = one->text.find("another has taken over") != std::string::npos;
+    EXPECT_EQ(code, gave_way ? 1 : 0) << one->text;
+    owners += took && !gave_way;
   }
-  const bool near_took = near_one->text.find("takes over") != std::string::npos;
-  const bool far_took = far_one->text.find("takes over") != std::string::npos;
-  EXPECT_NE(near_took, far_took) << near_one->text << far_one->text;
+  EXPECT_EQ(owners, 1) << near_one->text << far_one->text;
 }
 
 TEST_F(EndToEnd, ASceneHasOneServer) {
