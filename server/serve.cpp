@@ -42,7 +42,7 @@ constexpr std::string_view asset_root = "crumple/1/asset/";
 constexpr std::string_view world_key = "replica/world";
 constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
-constexpr std::chrono::milliseconds look{1000};
+constexpr std::chrono::milliseconds look{2000};
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
 // cannot keep up slows down, and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;

@@ -20,7 +20,7 @@ using Clock = std::chrono::steady_clock;
 
 constexpr uint32_t inputs_depth = 4096;             // ticks that may wait while the world is fetched: a minute
 constexpr size_t ticks_at_once = 256;               // when they catch up, between two looks at the network
-constexpr std::chrono::seconds first_look{1};       // no owner is seen within this of the first link: so there is none
+constexpr std::chrono::seconds first_look{2};       // no owner is seen within this of the first link: so there is none
 constexpr std::chrono::seconds precedence{2};       // that another has to take over before this one
 constexpr std::chrono::milliseconds settling{200};  // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
