@@ -377,7 +377,7 @@ void tell_refusals(Server& server, uint64_t& told) {
 void tell_recording(Server& server) {
   std::string trouble = server.recording->trouble();
   if (trouble.empty() && server.recording->lost() > 0)
-    trouble = server.options.record +
+    trouble = server.record +
               ": loses messages, because the disk is slower than the recording; the server goes on, "
               "replay --verify names the tick; record to a faster disk";
   if (trouble.empty() || trouble == server.recording_told) return;

@@ -50,6 +50,12 @@ class Reader {
 template <class File, class Number>
 requires std::is_arithmetic_v<Number> || std::is_enum_v<Number>
 void field(File& file, Number& value) { file.raw(&value, sizeof value); }
+template <class File>
+void field(File& file, bool& value) {
+  uint8_t number = value;
+  file.raw(&number, sizeof number);
+  value = number != 0;  // damage may be any number
+}
 template <class File, int Rows>
 void field(File& file, Eigen::Matrix<float, Rows, 1>& v) {
   file.raw(v.data(), sizeof(float) * Rows);

@@ -271,7 +271,7 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
   while (!stop) {
     announce(standby);
     NetEvent events[64];
-    const int got = net_poll(net, events, 64, standby.waiting.empty() ? 50'000 : 0);
+    const int got = net_poll(net, events, 64, standby.same && !standby.waiting.empty() ? 0 : 50'000);
     need(got);
     for (int k = 0; k < got; ++k) take(standby, events[k]);
     follow(standby);
