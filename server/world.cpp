@@ -4,9 +4,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <atomic>
-#include <chrono>
-#include <thread>
 
 #include "state.h"
 #include "wire/encode.h"
@@ -246,21 +243,17 @@ void close_tally(Tally& tally) {
 
 void warm_up(World& world, int threads) {
   open_arena(world, std::max(1, threads));
-  // Each waits for all others, so that no thread takes two turns; a thread that never comes is not waited for.
-  std::atomic<int> here{0};
   world.arena->execute([&] {
+    // One turn a thread.
     tbb::parallel_for(
         tbb::blocked_range<int>(0, std::max(1, threads), 1),
         [&](const tbb::blocked_range<int>&) {
           Worker& worker = world.workers.local();
-          ++here;
-          for (int turns = 0; here < threads && turns < 1'000; ++turns)
-            std::this_thread::sleep_for(std::chrono::milliseconds(1));
           tbb::this_task_arena::isolate([&] {
             for (const auto& [hash, levels] : world.assets) crash_once(*levels.front(), 1 / world.rate, worker);
           });
         },
-        tbb::simple_partitioner{});
+        tbb::static_partitioner{});
   });
 }
 
