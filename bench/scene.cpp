@@ -3,8 +3,9 @@
 // in: baked cars of one surface, the levels of one car. out: one row a scene, level, number of sweeps and budget.
 // Scenes, played by the server's whole tick (World), cars side by side before one wall:
 //   asleep     many cars at rest, the wall out of reach
-//   tapped     cars reach the wall at 1.5 m/s; crashing: at 50 km/h; at the default, and with so many sweeps whatever the
-//   residual overload   crashing, every other car of importance 0.1, with a budget of a share of the work that they ask for
+//   tapped     cars reach the wall at 1.5 m/s; crashing: at 50 km/h; at the default, with so many sweeps whatever the residual,
+//              and with fewer sub-steps
+//   overload   crashing, every other car of importance 0.1, with a budget of a share of the work that they ask for
 // Time: by the wall, a car and tick in which the car is solved, best of several plays. Error: of the surface at the end, rms
 // and largest over its vertices, from that of the finest level with 100 sweeps, always; in m, and rms in % of the largest
 // displacement and of the car's diagonal. Work: tet visits a car and tick.
@@ -80,6 +81,7 @@ struct Scene {
   float tolerance = Parameters{}.tolerance;  // m
   uint64_t budget = 0;                       // tet visits a tick
   bool some_unimportant = false;             // every other car
+  int substeps = Parameters{}.substeps;      // in 1/60 s
 };
 
 struct Play {
@@ -105,6 +107,7 @@ WorldHandle make_scene(const std::shared_ptr<const Car>& asset, const Scene& sce
     car.body = make_body(asset->model);
     car.parameters.iterations = uint16_t(scene.sweeps);
     car.parameters.tolerance = scene.tolerance;
+    car.parameters.substeps = uint16_t(scene.substeps);
     car.motion.pose.position.y() = lane * double(k);
     car.motion.velocity.x() = scene.speed;
     if (scene.some_unimportant && k % 2 == 1) car.importance = unimportant;
@@ -171,6 +174,7 @@ struct Row {
   std::string scene;
   size_t nodes;
   int sweeps, threads;
+  int substeps = Parameters{}.substeps;
   double tolerance = double(Parameters{}.tolerance);  // m
   double budget = 1;                                  // share of the most that is asked for
   double importance = 1;
@@ -189,12 +193,13 @@ class Table {
     if (!file_) throw std::runtime_error(options.csv + ": cannot be written; name a folder that exists and can be written.");
     about_ = '"' + machine() + "\"," + options.commit + ",0";
     std::fprintf(file_.get(),
-                 "machine,commit,seed,scene,nodes,iterations,threads,tolerance,budget,importance,us_best,cars_per_tick,work,"
+                 "machine,commit,seed,scene,nodes,iterations,threads,substeps,tolerance,budget,importance,us_best,cars_per_tick,work,"
                  "shed,error_mm,"
                  "max_mm,error_percent,diagonal_percent,hash\n");
   }
   void add(const Row& row) {
-    std::fprintf(file_.get(), "%s,\"%s\",%zu,%d,%d", about_.c_str(), row.scene.c_str(), row.nodes, row.sweeps, row.threads);
+    std::fprintf(file_.get(), "%s,\"%s\",%zu,%d,%d,%d", about_.c_str(), row.scene.c_str(), row.nodes, row.sweeps, row.threads,
+                 row.substeps);
     const double error = row.error.rms;
     for (double value : {row.tolerance, row.budget, row.importance, 1e6 * row.seconds, 1 / (rate * row.seconds), row.work,
                          row.shed, 1e3 * error, 1e3 * row.error.most, 100 * error / row.largest, 100 * error / diagonal_}) {
@@ -232,6 +237,7 @@ Answer answer(const Cars& levels, Scene scene) {
 Row row_of(const Scene& scene, const Car& car, int threads, const Play& play, const Answer& exact, size_t which = 0) {
   Row row{scene.name, car.model.node.size(), scene.sweeps, threads};
   row.tolerance = double(scene.tolerance);
+  row.substeps = scene.substeps;
   row.seconds = play.seconds;
   row.work = play.work;
   row.shed = play.shed;
@@ -262,6 +268,11 @@ void measure_hit(const Cars& levels, const Scene& scene, int threads, Table& tab
       Scene one = scene;
       one.sweeps = sweeps;
       one.tolerance = 0;
+      table.add(row_of(one, *car, threads, play(car, one, threads), exact));
+    }
+    for (int substeps : {2, 1}) {
+      Scene one = scene;
+      one.substeps = substeps;
       table.add(row_of(one, *car, threads, play(car, one, threads), exact));
     }
   }

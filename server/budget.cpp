@@ -1,7 +1,8 @@
 // The time budget of a tick: so many tet visits, and no more. In: what each car's last tick took and left undone, and the
-// importance that its host gives it. Out: how many sweeps a sub-step each car may make in this one. Where they ask for more
-// than there is, sweeps are taken away where the least is lost by it, one step of the mixing (two sweeps) at a time. Law: under
-// the budget every car makes what sweeps it likes.
+// importance that its host gives it. Out: how many sub-steps, and how many sweeps in each, every car may make in this one.
+// Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the mixing (two of
+// them) at a time, and then half of the sub-steps where the mesh is too coarse to show them. Law: under the budget every car
+// makes what it likes.
 #include <algorithm>
 #include <cmath>
 
@@ -12,41 +13,102 @@
 namespace crumple {
 namespace {
 
-// Sweeps a sub-step that every car is left: the second step is the first that can be mixed. At 50 km/h, 4,642 nodes end with 4
+// What a sub-step, and a tick, take beside the sweeps: in sweeps over all tets.
+constexpr double substep_costs = 3, tick_costs = 5;
+
+// Sweeps that a sub-step is left at least; the second step is the first that can be mixed. At 50 km/h, 4,642 nodes end with 4
 // sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 % (bench/page.md).
+// A longer sub-step needs more of them: 345 nodes are 2.5 and 6.0 % off with 4 sub-steps of 4 sweeps, 2.6 and 6.0 with 2 of 6,
+// 3.6 and 5.7 with one of 8.
 constexpr int step = sweeps_a_step, fewest = 2 * step;
-constexpr int usual = 8;     // of a car that is only now woken: about what the default tolerance asks for
-constexpr double worth = 2;  // how much larger the residual is without the last step
+constexpr double longest_way = 0.8;  // of a sub-step, against an obstacle, in edges of the mesh
+constexpr int usual = 8;             // sweeps of a car that is only now woken: about what the default tolerance asks for
+constexpr double worth = 2;          // how much larger the residual is without the last step
+
+struct Plan {
+  int substeps, sweeps;  // the former in 1/60 s
+};
 
 struct Share {
   Instance* car;
-  size_t order;      // among equals
-  int sweeps;        // that it asks for, then those it is left
-  double per_sweep;  // tet visits in the tick
-  double loss;       // importance * m of residual per tet visit saved, of the next step that is taken away
+  size_t order;   // among equals
+  Plan plan;      // what it asks for, then what it is left
+  double a_tick;  // sub-steps in a tick for one in the plan: its length, and what deform() halves
+  double awake, tets;
+  double loss = 0;  // importance * m of residual per tet visit saved, of what is taken away next
+
+  double work(const Plan& of) const {
+    return of.substeps * a_tick * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+  }
 };
 
-// What the car asks for: sweeps, and what one of them costs.
-struct Wish {
-  int sweeps;
-  double per_sweep, residual;  // the latter with these sweeps
-};
-Wish wish(const World& world, const Instance& car, double worst) {
-  const int most = car.parameters.iterations;
+double ticks(const World& world) { return 60 / world.rate; }
+
+// The least that a sub-step is left of sweeps where there are fewer sub-steps than its parameters ask for.
+int fewest_sweeps(const Instance& car, int substeps) {
+  int sweeps = fewest;
+  for (int k = substeps; k < int(car.parameters.substeps); k *= 2) sweeps += step;
+  return sweeps;
+}
+
+bool may_halve(const Instance& car, int substeps) {
+  if (substeps % 2 != 0) return false;
+  Parameters halved = car.parameters;
+  halved.substeps = uint16_t(substeps / 2);
+  return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
+}
+
+// What is taken away next; the same plan if there is nothing.
+Plan less(const Share& share) {
+  const Instance& car = *share.car;
+  const Plan now = share.plan;
+  const int least = fewest_sweeps(car, now.substeps);
+  if (now.sweeps > least) return {now.substeps, now.sweeps - std::min(step, now.sweeps - least)};
+  if (!may_halve(car, now.substeps)) return now;
+  const int sweeps = std::min(fewest_sweeps(car, now.substeps / 2), int(car.parameters.iterations));
+  return {now.substeps / 2, std::max(now.sweeps, sweeps)};
+}
+
+double saved(const Share& share) { return share.work(share.plan) - share.work(less(share)); }
+
+// What the car asks for.
+Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
+  const int most = car.parameters.iterations, substeps = car.parameters.substeps;
   const Response& last = car.response;
-  const double substeps =
-      std::max({1.0, std::round(1 / (world.rate * substep_seconds(car.parameters))), double(last.substeps)});
-  const double tets = car.fresh > 0 ? double(car.car->model.tet.size()) : double(last.work) / last.sweeps;
-  if (last.sweeps == 0) return {car.parameters.tolerance > 0 ? std::min(most, usual) : most, tets * substeps, worst};
+  const double tets = double(car.car->model.tet.size());
+  const double halved = last.substeps > 0 && car.substeps > 0 ? last.substeps / (car.substeps * ticks(world)) : 1;
+  Share share{&car, order, {substeps, 0}, ticks(world) * std::max(1.0, halved), tets, tets};
+  if (last.sweeps == 0) {
+    share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
+    residual = worst;
+    return share;
+  }
+  share.awake = double(last.work) / last.sweeps;
+  if (car.fresh > 0) share.awake = std::max(share.awake, tets);
   const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
   // One that was kept short would have made more; how many more is seen by letting it.
-  const int sweeps = used >= car.sweeps ? std::min(most, 2 * used) : used;
-  double residual = double(last.residual);
-  for (int k = used; k < sweeps; k += step) residual /= worth;
-  return {sweeps, tets * substeps, residual};
+  share.plan.sweeps = used >= car.sweeps ? std::min(most, 2 * used) : used;
+  residual = double(last.residual) * car.substeps / substeps;  // of a shorter way
+  for (int k = used; k < share.plan.sweeps; k += step) residual /= worth;
+  return share;
+}
+
+void allow(Instance& car, const Plan& plan) {
+  car.substeps = uint16_t(plan.substeps);
+  car.sweeps = uint16_t(plan.sweeps);
 }
 
 }  // namespace
+
+double work_of(const Model& model, const Response& response) {
+  return double(response.work) + (substep_costs * response.substeps + tick_costs) * double(model.tet.size());
+}
+
+double crash_work(const World& world, const Instance& car, const Car& level) {
+  const double substeps = std::max(1.0, car.parameters.substeps * ticks(world));
+  const int sweeps = std::min<int>(car.parameters.iterations, usual);
+  return double(level.model.tet.size()) * (substeps * (sweeps + substep_costs) + tick_costs);
+}
 
 void ration(World& world, const std::vector<Instance*>& cars) {
   world.tally.shed = 0;
@@ -57,30 +119,31 @@ void ration(World& world, const std::vector<Instance*>& cars) {
   for (size_t i = 0; i < cars.size() && world.budget > 0; ++i) {
     Instance& car = *cars[i];
     if (car.parameters.solver != Solver::nodal || (car.body.settled && car.fresh == 0)) continue;
-    const Wish now = wish(world, car, worst);
-    asked += now.per_sweep * now.sweeps;
-    const double loss = double(car.importance) * now.residual * worth / now.per_sweep;
-    shares.push_back({&car, i, now.sweeps, now.per_sweep, loss});
+    double residual = 0;
+    Share share = ask(world, car, i, worst, residual);
+    asked += share.work(share.plan);
+    share.loss = double(car.importance) * residual * worth / std::max(1.0, saved(share));
+    shares.push_back(share);
   }
-  for (Instance* car : cars) car->sweeps = car->parameters.iterations;
+  for (Instance* car : cars) allow(*car, {car->parameters.substeps, car->parameters.iterations});
   double left = asked - double(world.budget);
   if (left <= 0) return;
   for (Share& share : shares) {
-    if (share.car->fresh > 0) share.car->sweeps = uint16_t(share.sweeps);
+    if (share.car->fresh > 0) allow(*share.car, share.plan);
   }
-  std::erase_if(shares, [](const Share& share) { return share.sweeps <= fewest; });
+  std::erase_if(shares, [](const Share& share) { return saved(share) <= 0; });
   const auto later = [](const Share& a, const Share& b) { return a.loss != b.loss ? a.loss > b.loss : a.order > b.order; };
   std::make_heap(shares.begin(), shares.end(), later);
   while (left > 0 && !shares.empty()) {
     std::pop_heap(shares.begin(), shares.end(), later);
     Share& share = shares.back();
-    const int taken = std::min(step, share.sweeps - fewest);
-    share.sweeps -= taken;
-    share.car->sweeps = uint16_t(share.sweeps);
-    left -= taken * share.per_sweep;
-    world.tally.shed += uint64_t(taken * share.per_sweep);
-    share.loss *= worth;
-    if (share.sweeps > fewest) {
+    const double taken = saved(share);
+    share.plan = less(share);
+    allow(*share.car, share.plan);
+    left -= taken;
+    world.tally.shed += uint64_t(taken);
+    if (const double next = saved(share); next > 0) {
+      share.loss *= worth * taken / next;
       std::push_heap(shares.begin(), shares.end(), later);
     } else {
       shares.pop_back();

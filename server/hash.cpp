@@ -52,6 +52,7 @@ void add(const Instance& car, Sum& sum) {
   sum.add(car.levels->front()->hash);
   sum.add(car.car->hash);
   sum.add(uint64_t(car.sweeps));
+  sum.add(uint64_t(car.substeps));
   sum.add(uint64_t(car.fresh));
   sum.add(uint64_t(car.response.sweeps));
   sum.add(uint64_t(car.response.substeps));

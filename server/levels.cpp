@@ -1,5 +1,7 @@
 // Levels: which of the baked meshes of a car its body is on. Chosen by the importance that the host gives, and only when
-// something comes near the car: until then no level costs anything, and a dent that is left alone loses no detail.
+// something comes near the car: until then no level costs anything, and a dent that is left alone loses no detail. Where what
+// may be hit would ask for more than the tick's budget, cars go to coarser levels than that, those first that cost most for
+// their importance: a coarse mesh that is solved is nearer to the truth than a fine one that is not.
 #include <algorithm>
 
 #include "asset/map_level.h"
@@ -48,17 +50,83 @@ void add_asset(World& world, std::shared_ptr<const Car> car) {
 
 size_t coarser_levels(const World& world, const std::string& asset) { return world.assets.at(asset).size() - 1; }
 
-bool change_level(const World& world, Instance& car, Worker& worker) {
-  if (car.levels->size() == 1) return false;
-  const std::shared_ptr<const Car>& to = wanted(car);
-  if (to == car.car || car.body.touching || car.parameters.solver != Solver::nodal) return false;
-  if (car.level_tick > 0 && double(world.tick - car.level_tick) < shortest_stay * world.rate) return false;
-  find_candidates(car.car->model, car.body, car.motion, car.mass, world.obstacles, notice, worker.near);
-  if (worker.near.empty()) return false;
-  car.body = transfer(car.car->model, to->model, world.level_maps.at({car.car->hash, to->hash}), car.body);
-  car.car = to;
+Ahead look_ahead(const World& world, const Instance& car) {
+  const bool held = car.body.touching && !car.body.settled;
+  if (held || (world.budget == 0 && car.levels->size() == 1)) return Ahead::nothing;
+  const auto moves = [](const auto& thing) { return !thing.velocity.isZero(0) || !thing.angular_velocity.isZero(0); };
+  Ahead ahead = Ahead::nothing;
+  for (const Obstacle& obstacle : world.obstacles) {
+    if (!may_meet(car.car->model, car.body, car.motion, car.mass, obstacle, notice)) continue;
+    if (moves(car.motion) || moves(obstacle)) return Ahead::hit;
+    ahead = Ahead::neighbour;
+  }
+  return ahead;
+}
+
+std::vector<Instance*> choose_levels(const World& world, const std::vector<Instance*>& cars) {
+  struct Choice {
+    Instance* car;
+    size_t order;  // among equals
+    Levels::const_iterator level;
+    double work;
+  };
+  const auto next = [](const Choice& a, const Choice& b) {
+    const double first = a.work * double(b.car->importance), second = b.work * double(a.car->importance);
+    return first != second ? first < second : a.order > b.order;
+  };
+  std::vector<Choice> choices;
+  std::vector<Choice*> heap;
+  double left = double(world.budget);
+  for (size_t i = 0; i < cars.size(); ++i) {
+    Instance& car = *cars[i];
+    const bool may =
+        car.ahead != Ahead::nothing && !car.body.touching && car.levels->size() > 1 && car.parameters.solver == Solver::nodal;
+    if (!may) {
+      if (car.ahead == Ahead::hit && car.body.settled) {
+        left -= crash_work(world, car, *car.car);
+      } else if (!car.body.settled) {
+        left -= work_of(car.car->model, car.response);
+      }
+      continue;
+    }
+    const auto level = std::find(car.levels->begin(), car.levels->end(), wanted(car));
+    choices.push_back({&car, i, level, car.ahead == Ahead::hit ? crash_work(world, car, **level) : 0});
+    left -= choices.back().work;
+  }
+  for (Choice& choice : choices) {
+    if (world.budget > 0 && choice.work > 0 && choice.level + 1 != choice.car->levels->end()) heap.push_back(&choice);
+  }
+  const auto later = [&](const Choice* a, const Choice* b) { return next(*a, *b); };
+  std::make_heap(heap.begin(), heap.end(), later);
+  while (left < 0 && !heap.empty()) {
+    std::pop_heap(heap.begin(), heap.end(), later);
+    Choice& choice = *heap.back();
+    left += choice.work;
+    choice.work = crash_work(world, *choice.car, **++choice.level);
+    left -= choice.work;
+    if (choice.level + 1 != choice.car->levels->end()) {
+      std::push_heap(heap.begin(), heap.end(), later);
+    } else {
+      heap.pop_back();
+    }
+  }
+  std::vector<Instance*> changing;
+  for (const Choice& choice : choices) {
+    Instance& car = *choice.car;
+    if (*choice.level == car.car) continue;
+    if (car.level_tick > 0 && double(world.tick - car.level_tick) < shortest_stay * world.rate) continue;
+    car.next_level = *choice.level;
+    changing.push_back(&car);
+  }
+  return changing;
+}
+
+void change_level(const World& world, Instance& car, Worker&) {
+  const Car& to = *car.next_level;
+  car.body = transfer(car.car->model, to.model, world.level_maps.at({car.car->hash, to.hash}), car.body);
+  car.car = std::move(car.next_level);
   car.level_tick = world.tick;
-  return true;
+  car.changed = true;
 }
 
 }  // namespace crumple

@@ -48,7 +48,7 @@ constexpr std::chrono::milliseconds look{2000};
 constexpr double late_share = 0.25;
 
 // What the budget is in tet visits, which is all that the world knows. Learned from ticks that say something about it: those
-// that took long, and those that were cut short. Until there is one there is no limit.
+// that took long, and those that were cut short; before the first one, from warming up.
 struct Pace {
   double limit = 0;   // s a tick; 0: none
   double visit = 0;   // s, with all threads and what else a tick does; 0: not known yet
@@ -472,6 +472,9 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   start_world(server);
   if (!options.check) {
     warm_up(*server.world, server.threads);
+    const auto begun = Clock::now();
+    const uint64_t work = warm_up(*server.world, server.threads);
+    if (work > 0) server.pace.visit = std::chrono::duration<double>(Clock::now() - begun).count() / double(work);
     open_network(server);
     if (!options.standby && !become_owner(server, stop)) return 0;
     start_recording(server);

@@ -111,7 +111,7 @@ template <class File>
 void field(File& file, Body& body) {
   field(file, body.node, body.step, body.step_seconds, body.gradients, body.hardening, body.edge_rest, body.tet_rest);
   field(file, body.history);
-  field(file, body.absorbed, body.stored, body.owed, body.reach, body.force, body.moment);
+  field(file, body.absorbed, body.stored, body.owed, body.reach, body.low, body.high, body.force, body.moment);
   field(file, body.touching, body.drift, body.lost, body.settled);
 }
 template <class File>
@@ -130,7 +130,7 @@ void field(File& file, Instance& car) {
   field(file, car.level_tick, car.importance, car.host, car.mass.mass, car.mass.inertia, car.mass.center, car.mass.planar);
   field(file, car.parameters, car.motion);
   for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
-  field(file, car.touched_tick, car.hashes[0], car.hashes[1], car.hashes[2], car.told, car.sweeps, car.fresh);
+  field(file, car.touched_tick, car.hashes[0], car.hashes[1], car.hashes[2], car.told, car.sweeps, car.substeps, car.fresh);
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 

@@ -24,6 +24,9 @@ namespace crumple {
 // An asset, and the others of the same surface with fewer nodes, in descending order.
 using Levels = std::vector<std::shared_ptr<const Car>>;
 
+// What is about to touch a car that nothing touches: something that stands still beside it, or something that may hit it.
+enum class Ahead : uint8_t { nothing, neighbour, hit };
+
 struct Instance {
   const Levels* levels = nullptr;  // front: as spawned, and the asset that viewers are told of; the surface is the same
   std::shared_ptr<const Car> car;  // the level that the body is on
@@ -40,12 +43,15 @@ struct Instance {
   std::array<uint64_t, 3> hashes{};
   Told told;
   // The last ticks', from which this one's share of the budget follows.
-  uint16_t sweeps = 0;  // of a sub-step, that it may make at most
+  uint16_t sweeps = 0;    // of a sub-step, that it may make at most
+  uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
   Response response;
   uint8_t fresh = 0;  // ticks in which more of it may take part than did in the last one: it is being woken
   // Of one tick.
   std::optional<Intent> intent;  // the latest; consumed
-  bool changed = false;          // it came to another level
+  Ahead ahead = Ahead::nothing;
+  std::shared_ptr<const Car> next_level;  // that it comes to; null: it stays
+  bool changed = false;                   // it came to another
   News news;
 };
 
@@ -82,7 +88,6 @@ struct Worker {
   ScratchHandle scratch = make_scratch();
   std::vector<Vec3> displaced;  // nodes of the skin, from rest, m
   std::vector<int16_t> displacement;
-  std::vector<Candidates> near;
   StageTimes times{};
 };
 
@@ -119,10 +124,15 @@ void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
 Host* find_or_add_host(World&, const std::string& id);
 // Drops a host that has nothing left.
 void release_host(World&, const std::string& id);
-// Brings the car to the level that its importance asks for, if that is another and something comes near it (levels.cpp).
-// Returns whether it did.
-bool change_level(const World&, Instance&, Worker&);
-// How many sweeps each car may make in this tick (budget.cpp).
+// What comes near the car, so that it may change its level (levels.cpp).
+Ahead look_ahead(const World&, const Instance&);
+// Those that change their level now: to the one that the importance asks for, or a coarser one that the budget has room for.
+std::vector<Instance*> choose_levels(const World&, const std::vector<Instance*>&);
+void change_level(const World&, Instance&, Worker&);
+// What a tick of a car has come to, in tet visits, and what it would come to if it crashed on this level (budget.cpp).
+double work_of(const Model&, const Response&);
+double crash_work(const World&, const Instance&, const Car& level);
+// How many sub-steps and sweeps each car may make in this tick (budget.cpp).
 void ration(World&, const std::vector<Instance*>&);
 // Counts a refusal (health.cpp).
 void count(World&, const Refusal&);

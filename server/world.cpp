@@ -4,6 +4,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <atomic>
 
 #include "state.h"
 #include "wire/encode.h"
@@ -52,6 +53,7 @@ void move(const World& world, Instance& car, Worker& worker) {
   RoomTimer timer(world.clock, worker.times);
   Parameters parameters = car.parameters;
   parameters.iterations = car.sweeps;
+  parameters.substeps = car.substeps;
   car.response = deform(car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
                         car.motion, world.clock ? &timer : nullptr);
   const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
@@ -88,26 +90,24 @@ void show(const World& world, Instance& car, Worker& worker) {
   car.news = tell({world.tick, car.levels->front()->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
 }
 
-// Whether something may meet a car at rest within the tick. What stands still beside it does not.
-bool woken_soon(const World& world, const Instance& car, Worker& worker) {
-  find_candidates(car.car->model, car.body, car.motion, car.mass, world.obstacles, 1 / world.rate, worker.near);
-  const bool moves = !car.motion.velocity.isZero(0) || !car.motion.angular_velocity.isZero(0);
-  return std::any_of(worker.near.begin(), worker.near.end(), [&](const Candidates& near) {
-    const Obstacle& obstacle = world.obstacles[near.obstacle];
-    return moves || !obstacle.velocity.isZero(0) || !obstacle.angular_velocity.isZero(0);
-  });
+// Whether something may meet a car at rest within the tick.
+bool woken_soon(const World& world, const Instance& car) {
+  return car.ahead == Ahead::hit && std::any_of(world.obstacles.begin(), world.obstacles.end(), [&](const Obstacle& obstacle) {
+           return may_meet(car.car->model, car.body, car.motion, car.mass, obstacle, 1 / world.rate);
+         });
 }
 
-// Where the car stands, on which level, and whether it will take part.
-void prepare_car(const World& world, Instance& car, Worker& worker) {
+// Where the car stands, and whether it will take part.
+void prepare_car(const World& world, Instance& car, Worker&) {
   receive(world, car);
-  car.changed = change_level(world, car, worker);
+  car.changed = false;
+  car.ahead = look_ahead(world, car);
   if (world.budget == 0) return;
   if (!car.body.settled && car.response.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
     return;
   }
-  car.fresh = !car.body.settled || woken_soon(world, car, worker) ? waking : 0;
+  car.fresh = !car.body.settled || woken_soon(world, car) ? waking : 0;
 }
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
@@ -142,7 +142,7 @@ void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
     const Response& response = car->response;
     tally.contact_overflows += response.contact_overflow;
     tally.recoveries += response.recovered;
-    tally.work += response.work;
+    if (response.substeps > 0) tally.work += uint64_t(work_of(car->car->model, response));
     if (response.sweeps == 0) continue;
     ++tally.solved;
     tally.residual_sum += double(response.residual);
@@ -158,8 +158,8 @@ void open_arena(World& world, int threads) {
   world.arena_threads = threads;
 }
 
-// A tick of an undamaged car with a wall at its nose.
-void crash_once(const Car& car, double seconds, Worker& worker) {
+// A tick of an undamaged car with a wall at its nose. Returns its work.
+uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
   Body body = make_body(car.model);
   Motion motion;
   motion.velocity.x() = 15;  // m/s
@@ -168,7 +168,7 @@ void crash_once(const Car& car, double seconds, Worker& worker) {
   Obstacle wall;
   make_box({1, 10, 10}, wall);
   wall.pose.position.x() = double(nose) + 1;
-  deform(car.model, {}, {}, {&wall, 1}, seconds, *worker.scratch, body, motion);
+  return uint64_t(work_of(car.model, deform(car.model, {}, {}, {&wall, 1}, seconds, *worker.scratch, body, motion)));
 }
 
 void advance_cars(World& world, int threads) {
@@ -176,6 +176,7 @@ void advance_cars(World& world, int threads) {
   std::vector<Instance*> cars;
   for (auto& [id, car] : world.cars) cars.push_back(&car);
   for_each_car(world, cars, 16, prepare_car);
+  for_each_car(world, choose_levels(world, cars), 1, change_level);
   ration(world, cars);
   for_each_car(world, cars, 1, advance_car);
   for (Worker& worker : world.workers) {
@@ -241,8 +242,9 @@ void close_tally(Tally& tally) {
 
 }  // namespace
 
-void warm_up(World& world, int threads) {
+uint64_t warm_up(World& world, int threads) {
   open_arena(world, std::max(1, threads));
+  std::atomic<uint64_t> work = 0;
   world.arena->execute([&] {
     // One turn a thread.
     tbb::parallel_for(
@@ -250,11 +252,12 @@ void warm_up(World& world, int threads) {
         [&](const tbb::blocked_range<int>&) {
           Worker& worker = world.workers.local();
           tbb::this_task_arena::isolate([&] {
-            for (const auto& [hash, levels] : world.assets) crash_once(*levels.front(), 1 / world.rate, worker);
+            for (const auto& [hash, levels] : world.assets) work += crash_once(*levels.front(), 1 / world.rate, worker);
           });
         },
         tbb::static_partitioner{});
   });
+  return work;
 }
 
 void tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {

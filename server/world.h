@@ -38,13 +38,15 @@ void add_asset(World&, std::shared_ptr<const Car>);
 size_t coarser_levels(const World&, const std::string& asset);
 
 // Lets every worker of the tick crash a car of each asset that nobody keeps: the memory that it takes is there before the first
-// tick that needs it, which would be twice as long otherwise. No influence on the outcome.
-void warm_up(World&, int threads);
+// tick that needs it, which would be twice as long otherwise. No influence on the outcome. Returns the work that it did, as of
+// Work::done: timed the second time, it says how fast this machine is.
+uint64_t warm_up(World&, int threads);
 
 // One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
 void tick(World&, const Inbox&, Outbox&, int threads);
 
-// What the sweeps of the last tick came to, and what they would have come to beyond it without a budget: tet visits.
+// What the last tick came to, and what it would have come to beyond that without a budget: tet visits of sweeps, and what else
+// a crashing car takes, counted in those.
 struct Work {
   uint64_t done, shed;
 };

@@ -229,6 +229,42 @@ TEST(Levels, WaitWhileAnObstacleTouches) {
   EXPECT_EQ(scene.nodes(), nodes(0));
 }
 
+// Three cars that will hit a wall within half a second, the second of which matters most. Returns their nodes.
+std::vector<size_t> before_a_pile_up(double share_of_what_three_fine_cars_take, float least = 0.5f) {
+  Scene scene;
+  Inbox inbox = {scene.wall(3)};
+  std::vector<CarPose> poses;
+  for (int k = 0; k < 3; ++k) {
+    const std::string id(1, char('a' + k));
+    inbox.push_back({"car/" + id, host::spawn(level(0)->hash, "game", pose_at(0, 3 * (k - 1)))});
+    poses.push_back({id, pose_at(0, 3 * (k - 1)), {12, 0, 0}});
+    poses.back().importance = k == 1 ? 1 : least;
+  }
+  inbox.push_back({"host/game/poses", host::poses(++scene.sequence, poses)});
+  scene.step(inbox);
+  const double fine = crash_work(*scene.world, scene.car(), *level(0));
+  scene.step({budget_message(uint64_t(share_of_what_three_fine_cars_take * 3 * fine))});
+  std::vector<size_t> out;
+  for (const auto& [id, car] : scene.world->cars) out.push_back(car.body.node.size());
+  return out;
+}
+
+TEST(Levels, AreNoFinerThanTheBudgetHasRoomForWhereCarsAreAboutToBeHit) {
+  using Nodes = std::vector<size_t>;
+  EXPECT_EQ(before_a_pile_up(1, 1), (Nodes{nodes(0), nodes(0), nodes(0)}));
+  EXPECT_EQ(before_a_pile_up(0.001, 1), (Nodes{nodes(2), nodes(2), nodes(2)}));
+  EXPECT_EQ(before_a_pile_up(0.6, 0.9f), (Nodes{nodes(1), nodes(0), nodes(1)})) << "those that matter less go first";
+}
+
+TEST(Levels, OfCarsThatStandBesideSomethingDoNotFollowTheBudget) {
+  Scene scene;
+  scene.spawn();
+  for (int k = 0; k < 5; ++k) scene.step({scene.wall(0.02), scene.pose(1), budget_message(1)});
+  EXPECT_EQ(scene.nodes(), nodes(0));
+  scene.step({scene.pose(1, 5)});
+  EXPECT_EQ(scene.nodes(), nodes(2));
+}
+
 TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   Scene scene, other;
   scene.spawn();

@@ -84,6 +84,58 @@ TEST(Obstacle, AFlatHullIsRefusedWithASentenceAndLeavesTheObstacleAlone) {
   EXPECT_TRUE(make_hull(std::vector<Vec3>(33, Vec3::Zero()), obstacle).has_value());
 }
 
+Obstacle random_obstacle(int kind, std::mt19937& random) {
+  std::uniform_real_distribution<double> unit(-1, 1);
+  const auto some = [&] { return Eigen::Vector3d(unit(random), unit(random), unit(random)); };
+  Obstacle obstacle;
+  if (kind == 0) make_box((Vec3::Constant(1.1f) + some().cast<float>()), obstacle);
+  if (kind == 1) make_capsule(0.3f, 2, obstacle);
+  if (kind == 2) make_half_space(obstacle);
+  if (kind == 3) {
+    std::vector<Vec3> points;
+    for (int k = 0; k < 12; ++k) points.push_back(some().cast<float>());
+    EXPECT_EQ(make_hull(points, obstacle), std::nullopt);
+  }
+  obstacle.pose = {8 * some(), Eigen::Quaterniond(Eigen::Vector4d(unit(random), unit(random), unit(random), 1.5)).normalized()};
+  obstacle.velocity = 20 * some();
+  if (unit(random) > 0) obstacle.angular_velocity = 5 * some();
+  return obstacle;
+}
+
+TEST(Contacts, WhateverComesNearIsACandidate) {
+  std::mt19937 random(7);
+  int met = 0, passed_over = 0;
+  for (int scene = 0; scene < 1200; ++scene) {
+    Crash crash;
+    crash.motion.velocity = 20 * Eigen::Vector3d::Random();
+    crash.motion.angular_velocity = 6 * Eigen::Vector3d::Random();
+    const Obstacle obstacle = random_obstacle(scene % 4, random);
+    const double seconds = scene % 8 < 4 ? tick_seconds : 0.5;
+    std::vector<Candidates> found;
+    find_candidates(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds, found);
+    std::vector<uint8_t> near(crash.body.node.size(), 0);
+    for (const Candidates& one : found) {
+      for (uint32_t node : one.node) near[node] = 1;
+    }
+    EXPECT_EQ(may_meet(crash.model, crash.body, crash.motion, crash.mass, obstacle, seconds), !found.empty());
+    passed_over += found.empty();
+    for (int k = 0; k <= 32; ++k) {
+      const double t = seconds * k / 32;
+      const Relative now = relative(advance(crash.motion, crash.mass, t),
+                                    advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, t));
+      for (size_t i = 0; i < near.size(); ++i) {
+        const Vec3 local = now.rotation * crash.body.node[i] + now.translation;
+        const Plane plane = separating_plane(obstacle, local);
+        if (plane.normal.dot(local) > plane.offset) continue;
+        ASSERT_TRUE(near[i]) << "scene " << scene << ", node " << i << " is inside after " << t << " s";
+        ++met;
+      }
+    }
+  }
+  EXPECT_GT(met, 1000);
+  EXPECT_GT(passed_over, 300);
+}
+
 TEST(Material, AValueOutsideItsRangeIsNamedWithTheRange) {
   Parameters parameters;
   EXPECT_FALSE(out_of_range(parameters).has_value());

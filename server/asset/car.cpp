@@ -11,6 +11,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 #include <stdexcept>
 
 #define XXH_INLINE_ALL
@@ -209,6 +210,8 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   check(car->model, car->regions.size(), name);
   car->blocks = make_blocks(car->model);
   car->skin_node = skin_nodes(car->model);
+  const auto edges = car->model.edge_rest;
+  car->mean_edge = float(std::accumulate(edges.begin(), edges.end(), 0.0) / double(edges.size()));
   if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours, each next to all others");
   car->model.blocks = &car->blocks;
 

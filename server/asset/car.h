@@ -21,6 +21,7 @@ inline constexpr uint32_t max_regions = 16;
 struct Car {
   Model model;
   Blocks blocks;
+  float mean_edge = 0;              // m
   std::vector<uint32_t> skin_node;  // nodes that a vertex moves with, ascending: what viewers are told of
   std::string name;
   std::string attribution;

@@ -10,12 +10,6 @@ namespace {
 
 constexpr float farthest_node = 10;  // m from rest: no dent is as deep, and int16 quanta of 0.5 mm end at 16 m
 
-float reach(const Model& model, const std::vector<Vec3>& node) {
-  float most = 0;
-  for (const Vec3& position : node) most = std::max(most, (position - model.center_of_mass).squaredNorm());
-  return std::sqrt(most);
-}
-
 template <class T>
 uint64_t chain(const std::vector<T>& values, uint64_t seed) {
   return XXH64(values.data(), values.size() * sizeof(T), seed);
@@ -31,7 +25,7 @@ Body make_body(const Model& model) {
   body.hardening.assign(model.tet.size(), 0.0f);
   body.edge_rest.assign(model.edge_rest.begin(), model.edge_rest.end());
   body.tet_rest.assign(model.tet_rest.begin(), model.tet_rest.end());
-  body.reach = reach(model, body.node);
+  measure_reach(model, body);
   return body;
 }
 
@@ -52,11 +46,20 @@ void repair(const Model& model, float amount, Body& body) {
   for (size_t e = 0; e < body.edge_rest.size(); ++e) towards(body.edge_rest[e], model.edge_rest[e]);
   for (Vec3& step : body.step) step.setZero();
   body.history = {};
-  body.reach = reach(model, body.node);
+  measure_reach(model, body);
   body.settled = false;
 }
 
-void measure_reach(const Model& model, Body& body) { body.reach = reach(model, body.node); }
+void measure_reach(const Model& model, Body& body) {
+  float most = 0;
+  body.low = body.high = body.node[0];
+  for (const Vec3& node : body.node) {
+    most = std::max(most, (node - model.center_of_mass).squaredNorm());
+    body.low = body.low.cwiseMin(node);
+    body.high = body.high.cwiseMax(node);
+  }
+  body.reach = std::sqrt(most);
+}
 
 std::optional<std::string> refuse_state(const Model& model, const Body& body) {
   const auto size_of = [](const char* name, size_t is, size_t should) {
@@ -109,7 +112,13 @@ uint64_t hash(const Body& body) {
                             body.force.z(),
                             body.moment.x(),
                             body.moment.y(),
-                            body.moment.z()};
+                            body.moment.z(),
+                            double(body.low.x()),
+                            double(body.low.y()),
+                            double(body.low.z()),
+                            double(body.high.x()),
+                            double(body.high.y()),
+                            double(body.high.z())};
   return XXH64(numbers, sizeof numbers, sum);
 }
 

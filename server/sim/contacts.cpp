@@ -1,6 +1,7 @@
 #include "sim/contacts.h"
 
 #include <algorithm>
+#include <optional>
 
 namespace crumple {
 
@@ -9,28 +10,74 @@ Relative relative(const Pose& car, const Pose& obstacle) {
   return {(back * car.orientation).toRotationMatrix().cast<float>(), (back * (car.position - obstacle.position)).cast<float>()};
 }
 
+namespace {
+
+// A car and an obstacle that may meet: seen from the obstacle at the start, and the distance below which a node is a candidate.
+struct Approach {
+  Relative start;
+  float near;
+};
+
+// Whether the body's box is farther than `near` from the obstacle, beyond a plane that has all of it below.
+bool beyond(const Obstacle& obstacle, const Relative& start, const Body& body, float near) {
+  const Vec3 half = 0.5f * (body.high - body.low);
+  const Vec3 centre = start.rotation * (body.low + half) + start.translation;
+  const auto beyond_plane = [&](const Plane& plane) {
+    const Vec3 normal = start.rotation.transpose() * plane.normal;
+    return plane.normal.dot(centre) - plane.offset - normal.cwiseAbs().dot(half) > near;
+  };
+  if (obstacle.faces.empty()) return beyond_plane(separating_plane(obstacle, centre));
+  return std::any_of(obstacle.faces.begin(), obstacle.faces.end(), beyond_plane);
+}
+
+// No point of the car moves farther against the obstacle than `travel`, rotation included. Twice: nodes move in the car's frame
+// too, as far as the obstacle drives them.
+float candidate_distance(double travel) { return 2 * float(travel) + contact_margin; }
+
+std::optional<Approach> approach(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
+                                 const Obstacle& obstacle, double seconds) {
+  // Most are far away, and need no more than this to be passed over. From one that turns the car seems to move, however far.
+  if (obstacle.angular_velocity.isZero(0)) {
+    const Eigen::Vector3d centre = motion.pose.position + motion.pose.orientation * model.center_of_mass.cast<double>();
+    const double travel =
+        ((motion.velocity - obstacle.velocity).norm() + 3 * motion.angular_velocity.norm() * double(body.reach)) * seconds;
+    const double far = double(obstacle.reach + body.reach + candidate_distance(travel)) + 1e-3;
+    if ((centre - obstacle.pose.position).squaredNorm() > far * far) return std::nullopt;
+  }
+  const Relative start = relative(motion.pose, obstacle.pose);
+  const Relative end =
+      relative(advance(motion, mass, seconds), advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, seconds));
+  const Mat3 turn = end.rotation - start.rotation;
+  const float travel = (turn * model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
+  const float near = candidate_distance(double(travel));
+  if (beyond(obstacle, start, body, near)) return std::nullopt;
+  return Approach{start, near};
+}
+
+bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& node) {
+  const Vec3 local = approach.start.rotation * node + approach.start.translation;
+  const Plane face = separating_plane(obstacle, local);
+  return face.normal.dot(local) - face.offset < approach.near;
+}
+
+}  // namespace
+
+bool may_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass, const Obstacle& obstacle,
+              double seconds) {
+  const auto found = approach(model, body, motion, mass, obstacle, seconds);
+  return found &&
+         std::any_of(body.node.begin(), body.node.end(), [&](const Vec3& node) { return is_near(obstacle, *found, node); });
+}
+
 void find_candidates(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
                      std::span<const Obstacle> obstacles, double seconds, std::vector<Candidates>& out) {
   out.clear();
-  const Pose car_end = advance(motion, mass, seconds);
   for (uint32_t index = 0; index < obstacles.size(); ++index) {
-    const Obstacle& obstacle = obstacles[index];
-    const Relative start = relative(motion.pose, obstacle.pose);
-    const Relative end = relative(car_end, advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, seconds));
-    // No point of the car moves farther against the obstacle than this, rotation included. Twice: nodes move in the car's
-    // frame too, as far as the obstacle drives them.
-    const Mat3 turn = end.rotation - start.rotation;
-    const Vec3 centre = start.rotation * model.center_of_mass + start.translation;
-    const float travel = (turn * model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
-    const float near = 2 * travel + contact_margin;
-    const Plane plane = separating_plane(obstacle, centre);
-    if (plane.normal.dot(centre) - plane.offset > body.reach + near) continue;
-
+    const auto found = approach(model, body, motion, mass, obstacles[index], seconds);
+    if (!found) continue;
     Candidates candidates{index, {}};
     for (uint32_t node = 0; node < body.node.size(); ++node) {
-      const Vec3 local = start.rotation * body.node[node] + start.translation;
-      const Plane face = separating_plane(obstacle, local);
-      if (face.normal.dot(local) - face.offset < near) candidates.node.push_back(node);
+      if (is_near(obstacles[index], *found, body.node[node])) candidates.node.push_back(node);
     }
     if (!candidates.node.empty()) out.push_back(std::move(candidates));
   }

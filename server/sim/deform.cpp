@@ -211,7 +211,7 @@ int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obs
   const int count = std::max(1, int(std::lround(seconds / substep_seconds(parameters))));
   int times = 1;
   for (int k = 0; k < halvings; ++k) {
-    const double h = seconds / (count * times);
+    const double h = seconds / (count * times) / coarseness(parameters);
     if (closing * h > substep_travel || frequency * h > substep_turn) times *= 2;
   }
   return count * times;

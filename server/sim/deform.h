@@ -2,6 +2,7 @@
 // (nodal or classic), flow, skin. A function of its arguments alone: no clock, no thread count, no memory of other cars.
 #pragma once
 
+#include <algorithm>
 #include <memory>
 #include <span>
 
@@ -14,8 +15,12 @@ namespace crumple {
 
 // Sub-steps are a share of time, not of a tick, so that the tick rate does not change the crush. They are halved, up to
 // halvings times, while in one of them the car would meet an obstacle by more than substep_travel (m; an edge of a 10,000-node
-// car), or contacts would turn its motion by more than substep_turn radians (their force is stepped explicitly).
+// car), or contacts would turn its motion by more than substep_turn radians (their force is stepped explicitly). Who asks for
+// fewer sub-steps than the default asks for as much more of both: on a mesh whose edges are longer it costs little accuracy.
 inline double substep_seconds(const Parameters& parameters) { return 1.0 / (60.0 * parameters.substeps); }
+inline double coarseness(const Parameters& parameters) {
+  return std::max(1.0, double(Parameters{}.substeps) / double(parameters.substeps));
+}
 inline constexpr double substep_travel = 0.08;
 inline constexpr double substep_turn = 1.1;
 inline constexpr int halvings = 3;
