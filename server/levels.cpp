@@ -53,14 +53,12 @@ size_t coarser_levels(const World& world, const std::string& asset) { return wor
 Ahead look_ahead(const World& world, const Instance& car) {
   const bool held = car.body.touching && !car.body.settled;
   if (held || (world.budget == 0 && car.levels->size() == 1)) return Ahead::nothing;
+  if (!may_meet(car.car->model, car.body, car.motion, car.mass, world.obstacles, notice)) return Ahead::nothing;
   const auto moves = [](const auto& thing) { return !thing.velocity.isZero(0) || !thing.angular_velocity.isZero(0); };
-  Ahead ahead = Ahead::nothing;
-  for (const Obstacle& obstacle : world.obstacles) {
-    if (!may_meet(car.car->model, car.body, car.motion, car.mass, obstacle, notice)) continue;
-    if (moves(car.motion) || moves(obstacle)) return Ahead::hit;
-    ahead = Ahead::neighbour;
-  }
-  return ahead;
+  const bool driven = std::any_of(world.obstacles.begin(), world.obstacles.end(), [&](const Obstacle& obstacle) {
+    return moves(obstacle) && may_meet(car.car->model, car.body, car.motion, car.mass, {&obstacle, 1}, notice);
+  });
+  return moves(car.motion) || driven ? Ahead::hit : Ahead::neighbour;
 }
 
 std::vector<Instance*> choose_levels(const World& world, const std::vector<Instance*>& cars) {

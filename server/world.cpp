@@ -92,9 +92,7 @@ void show(const World& world, Instance& car, Worker& worker) {
 
 // Whether something may meet a car at rest within the tick.
 bool woken_soon(const World& world, const Instance& car) {
-  return car.ahead == Ahead::hit && std::any_of(world.obstacles.begin(), world.obstacles.end(), [&](const Obstacle& obstacle) {
-           return may_meet(car.car->model, car.body, car.motion, car.mass, obstacle, 1 / world.rate);
-         });
+  return car.ahead == Ahead::hit && may_meet(car.car->model, car.body, car.motion, car.mass, world.obstacles, 1 / world.rate);
 }
 
 // Where the car stands, and whether it will take part.

@@ -117,7 +117,7 @@ TEST(Contacts, WhateverComesNearIsACandidate) {
     for (const Candidates& one : found) {
       for (uint32_t node : one.node) near[node] = 1;
     }
-    EXPECT_EQ(may_meet(crash.model, crash.body, crash.motion, crash.mass, obstacle, seconds), !found.empty());
+    EXPECT_EQ(may_meet(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds), !found.empty());
     passed_over += found.empty();
     for (int k = 0; k <= 32; ++k) {
       const double t = seconds * k / 32;

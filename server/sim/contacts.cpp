@@ -32,24 +32,41 @@ bool beyond(const Obstacle& obstacle, const Relative& start, const Body& body, f
 
 // No point of the car moves farther against the obstacle than `travel`, rotation included. Twice: nodes move in the car's frame
 // too, as far as the obstacle drives them.
-float candidate_distance(double travel) { return 2 * float(travel) + contact_margin; }
+template <class Metres>
+Metres candidate_distance(Metres travel) {
+  return 2 * travel + Metres(contact_margin);
+}
+
+// What most obstacles are passed over by: they are far away. The same for all of them, of one car.
+class Reach {
+ public:
+  Reach(const Model& model, const Body& body, const Motion& motion, double seconds)
+      : centre_(motion.pose.position + motion.pose.orientation * model.center_of_mass.cast<double>()),
+        velocity_(motion.velocity),
+        speed_(motion.velocity.norm()),
+        turning_(3 * motion.angular_velocity.norm() * double(body.reach)),  // a bound, whatever it turns about
+        own_(double(body.reach) + 1e-3),
+        seconds_(seconds) {}
+  bool excludes(const Obstacle& obstacle) const {
+    if (!obstacle.angular_velocity.isZero(0)) return false;  // seen from it the car moves, the faster the farther away
+    const double speed = obstacle.velocity.isZero(0) ? speed_ : (velocity_ - obstacle.velocity).norm();
+    const double far = own_ + double(obstacle.reach) + candidate_distance((speed + turning_) * seconds_);
+    return (centre_ - obstacle.pose.position).squaredNorm() > far * far;
+  }
+
+ private:
+  Eigen::Vector3d centre_, velocity_;
+  double speed_, turning_, own_, seconds_;
+};
 
 std::optional<Approach> approach(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
                                  const Obstacle& obstacle, double seconds) {
-  // Most are far away, and need no more than this to be passed over. From one that turns the car seems to move, however far.
-  if (obstacle.angular_velocity.isZero(0)) {
-    const Eigen::Vector3d centre = motion.pose.position + motion.pose.orientation * model.center_of_mass.cast<double>();
-    const double travel =
-        ((motion.velocity - obstacle.velocity).norm() + 3 * motion.angular_velocity.norm() * double(body.reach)) * seconds;
-    const double far = double(obstacle.reach + body.reach + candidate_distance(travel)) + 1e-3;
-    if ((centre - obstacle.pose.position).squaredNorm() > far * far) return std::nullopt;
-  }
   const Relative start = relative(motion.pose, obstacle.pose);
   const Relative end =
       relative(advance(motion, mass, seconds), advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, seconds));
   const Mat3 turn = end.rotation - start.rotation;
   const float travel = (turn * model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
-  const float near = candidate_distance(double(travel));
+  const float near = candidate_distance(travel);
   if (beyond(obstacle, start, body, near)) return std::nullopt;
   return Approach{start, near};
 }
@@ -62,17 +79,23 @@ bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& nod
 
 }  // namespace
 
-bool may_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass, const Obstacle& obstacle,
+bool may_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass, std::span<const Obstacle> obstacles,
               double seconds) {
-  const auto found = approach(model, body, motion, mass, obstacle, seconds);
-  return found &&
-         std::any_of(body.node.begin(), body.node.end(), [&](const Vec3& node) { return is_near(obstacle, *found, node); });
+  const Reach reach(model, body, motion, seconds);
+  return std::any_of(obstacles.begin(), obstacles.end(), [&](const Obstacle& obstacle) {
+    if (reach.excludes(obstacle)) return false;
+    const auto found = approach(model, body, motion, mass, obstacle, seconds);
+    return found &&
+           std::any_of(body.node.begin(), body.node.end(), [&](const Vec3& node) { return is_near(obstacle, *found, node); });
+  });
 }
 
 void find_candidates(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
                      std::span<const Obstacle> obstacles, double seconds, std::vector<Candidates>& out) {
   out.clear();
+  const Reach reach(model, body, motion, seconds);
   for (uint32_t index = 0; index < obstacles.size(); ++index) {
+    if (reach.excludes(obstacles[index])) continue;
     const auto found = approach(model, body, motion, mass, obstacles[index], seconds);
     if (!found) continue;
     Candidates candidates{index, {}};

@@ -42,8 +42,8 @@ struct Candidates {
   std::vector<uint32_t> node;
 };
 
-// Whether a node can meet the obstacle within so many seconds, if both move on steadily.
-bool may_meet(const Model&, const Body&, const Motion&, const Mass&, const Obstacle&, double seconds);
+// Whether a node can meet an obstacle within so many seconds, if all move on steadily.
+bool may_meet(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
 
 // The choice of candidates, once a tick, from the car's and the obstacles' steady motions.
 void find_candidates(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds,
