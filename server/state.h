@@ -36,9 +36,9 @@ struct Instance {
   Motion motion;
   ImpulseLog log;
   uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
-  // Of body, told.keyframe and told.latest; kept, because most cars are idle in most ticks.
-  std::array<uint64_t, 3> hashes{};
-  Told told;
+  // Of body, and of keyframe and latest of each surface level; kept, because most cars are idle in most ticks.
+  std::array<uint64_t, 1 + 2 * surface_levels.size()> hashes{};
+  std::array<Told, surface_levels.size()> told;
   // The last ticks', from which this one's share of the budget follows.
   uint16_t sweeps = 0;  // of a sub-step, that it may make at most
   Response response;
@@ -46,7 +46,8 @@ struct Instance {
   // Of one tick.
   std::optional<Intent> intent;  // the latest; consumed
   bool changed = false;          // it came to another level
-  News news;
+  uint64_t order = 0;            // among the cars of the scene, by their ids
+  std::array<News, surface_levels.size()> news;
 };
 
 // A host lives as long as it has cars or obstacles; its sequence numbers are forgotten with it.
@@ -108,6 +109,7 @@ struct World {
 // A query for a keyframe, answered when the tick is done.
 struct Asked {
   std::string key, car;
+  size_t level;
   uint64_t ticket;
 };
 
@@ -124,6 +126,8 @@ void release_host(World&, const std::string& id);
 bool change_level(const World&, Instance&, Worker&);
 // How many sweeps each car may make in this tick (budget.cpp).
 void ration(World&, const std::vector<Instance*>&);
+// Its viewers are told of it anew in the next tick.
+void renew(Instance&);
 // Counts a refusal (health.cpp).
 void count(World&, const Refusal&);
 // Answers a query with a refusal; samples get no answer.

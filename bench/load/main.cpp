@@ -221,7 +221,7 @@ void ask_for_truth(Stage& stage) {
   std::vector<std::string> cars;
   for (uint32_t k = 0; k < stage.options.crashing; ++k) {
     cars.push_back(car_id('c', k));
-    crumple_follow(session.handle, cars.back().c_str());
+    crumple_follow(session.handle, cars.back().c_str(), 0);
   }
   const auto until = Clock::now() + std::chrono::seconds(20);
   for (const std::string& car : cars) {
