@@ -49,6 +49,12 @@ void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car)
   ++session.statistics.asked;
 }
 
+// What was asked before tells nothing about now, if it is answered at all.
+void forget_question(Crumple& session, FollowedCar& car) {
+  session.key_tickets.erase(car.asking);
+  car.asking = 0;
+}
+
 void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
   const std::string key = "crumple/1/asset/" + hash;
   const uint64_t offset = asset.size;
@@ -292,14 +298,6 @@ void end_ticket(Crumple& session, uint64_t ticket) {
   }
 }
 
-// The next keyframe takes the place of what is held; none that was asked for until now.
-void begin_anew(Crumple& session, FollowedCar& car) {
-  session.key_tickets.erase(car.asking);
-  car.asking = 0;
-  car.coming = {};
-  car.fresh = true;
-}
-
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (key == "server") session.server_alive = alive;
   const std::string_view id = car_of(key);
@@ -307,7 +305,8 @@ void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (!car) return;
   car->alive = alive;
   car->doubtful = false;  // a new one is asked for its keyframe anyway
-  begin_anew(session, *car);
+  car->fresh = true;
+  car->coming = {};
   if (alive) ask_for_keyframe(session, std::string(id), *car);
 }
 
@@ -344,8 +343,7 @@ void doubt_after_a_pause(Crumple& session) {
   if (now - std::exchange(session.polled, now) < unpolled) return;
   for (auto& [id, car] : session.cars) {
     if (!car.alive || car.surface.quanta.empty()) continue;
-    session.key_tickets.erase(car.asking);  // asked before the pause
-    car.asking = 0;
+    forget_question(session, car);
     car.asked = {};
     car.doubtful = true;
   }
@@ -371,7 +369,9 @@ void change_level(Crumple& session, const std::string& id, FollowedCar& car, int
   if (car.level == level) return;
   car.level = level;
   car.surface.key.clear();  // no delta of this level is against it
-  begin_anew(session, car);
+  car.fresh = true;
+  car.coming = {};
+  forget_question(session, car);
   if (car.alive) ask_for_keyframe(session, id, car);
 }
 
