@@ -383,14 +383,31 @@ TEST(Client, WhoGoesFarHoldsWhatItHadUntilTheFirstKeyframeOfThatLevelHoweverOld)
   ASSERT_TRUE(server.comes_to_hold(3, false)) << "asked " << server.questions << " times";
   EXPECT_EQ(server.quantum(), 0.004f);
   server.put(far_delta, delta(9, server.quanta, 3, server.quanta).front());
+  const uint64_t asked = server.questions;
   EXPECT_TRUE(server.comes_to_hold(9, false));
+  for (int k = 0; k < 1000 && server.questions == asked; ++k) server.answer(), server.held();
+  ASSERT_EQ(server.questions, asked + 1) << "once more, since all is silent";
   server.far_tick = 15;  // and nobody was sent it
-  server.tick = 15;
   EXPECT_TRUE(server.comes_to_hold(15, true)) << "health tells of each level";
   server.tick = 14;
   ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 0), CRUMPLE_OK);
   ASSERT_TRUE(server.comes_to_hold(14, false));
   EXPECT_EQ(server.quantum(), 0.0005f);
+}
+
+TEST(Client, WhoGoesFarDoesNotTakeTheAnswerToWhatItAskedNear) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  CrumpleStatistics statistics{};
+  for (int k = 0; k < 1000 && statistics.asked == 0; ++k) {
+    server.held();
+    crumple_statistics(server.viewer.get(), &statistics);
+  }
+  ASSERT_EQ(statistics.asked, 1u);
+  ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 1), CRUMPLE_OK);
+  for (int k = 0; k < 1000 && server.held() == 0; ++k) server.answer();
+  EXPECT_EQ(server.held(), 3u);
+  EXPECT_EQ(server.quantum(), 0.004f);
 }
 
 TEST(Client, GetsNothingTwiceWhoFollowsAllCarsFarAndOneOfThemNear) {

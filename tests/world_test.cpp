@@ -459,21 +459,37 @@ TEST(Viewers, FarAreToldTenTimesASecondInFewerBits) {
 }
 
 TEST(Viewers, OnAnyLevelHoldTheSurfaceWithinHalfAQuantumInTheTickInWhichItComesToRest) {
-  Scene scene;
-  std::array<host::Viewer, levels> viewers{viewer_of(0), viewer_of(1)};
-  size_t at_rest = 0;
-  crash(scene, 60, [&](const Outbox& outbox) {
-    for (host::Viewer& viewer : viewers)
-      for (const Message& message : outbox) viewer.take(message);
-    if (!scene.car("a").body.settled) return;
-    ++at_rest;
-    for (size_t level = 0; level < levels; ++level)
-      ASSERT_LE(farthest_off(scene.car("a"), viewers[level].surface), 0.501f * 0.0005f * float(surface_levels[level].quanta))
-          << "tick " << tick_count(*scene.world) << ", level " << level;
-  });
-  EXPECT_GT(at_rest, 10u);
-  EXPECT_LT(at_rest, 60u);
-  EXPECT_FLOAT_EQ(viewers[1].surface.quantum, 8 * viewers[0].surface.quantum);
+  for (uint64_t turn = 0; turn < surface_levels[1].ticks; ++turn) {
+    Scene scene;
+    for (uint64_t k = 0; k < turn; ++k) scene.step();
+    std::array<host::Viewer, levels> viewers{viewer_of(0), viewer_of(1)};
+    size_t at_rest = 0;
+    crash(scene, 60, [&](const Outbox& outbox) {
+      for (host::Viewer& viewer : viewers)
+        for (const Message& message : outbox) viewer.take(message);
+      if (!scene.car("a").body.settled) return;
+      ++at_rest;
+      for (size_t level = 0; level < levels; ++level)
+        ASSERT_LE(farthest_off(scene.car("a"), viewers[level].surface), 0.501f * 0.0005f * float(surface_levels[level].quanta))
+            << "tick " << tick_count(*scene.world) << ", level " << level;
+    });
+    EXPECT_GT(at_rest, 10u);
+    EXPECT_LT(at_rest, 60u);
+    EXPECT_FLOAT_EQ(viewers[1].surface.quantum, 8 * viewers[0].surface.quantum);
+    for (const host::Viewer& viewer : viewers) EXPECT_EQ(viewer.key(), viewer.held()) << "the last message is a keyframe";
+  }
+}
+
+TEST(Viewers, OnAnyLevelAreToldAtOnceOfACarThatIsSpawnedIntoAWall) {
+  for (uint64_t turn = 0; turn < surface_levels[1].ticks; ++turn) {
+    Scene scene;
+    for (uint64_t k = 0; k < turn; ++k) scene.step();
+    scene.step({{"host/game/obstacles", host::obstacles(1, {wall(2)})}});
+    scene.step({{"car/a", host::spawn(box()->hash, "game")}, {"car/a/key/0", {}, 77}, {"car/a/key/1", {}, 78}});
+    ASSERT_FALSE(scene.car("a").body.settled);
+    for (const char* level : {"0", "1"}) EXPECT_EQ(scene.sent(std::string("car/a/key/") + level).size(), 1u);
+    EXPECT_EQ(std::count_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket != 0; }), 2);
+  }
 }
 
 TEST(Viewers, CarsThatCrashAtOnceTellTheFarOnesInTurns) {
@@ -609,6 +625,14 @@ TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
     for (uint64_t k = 1; k < surface_levels[level].ticks && scene.sent("car/a/delta/" + is).empty(); ++k) scene.step();
     ASSERT_EQ(scene.sent("car/a/delta/" + is).size(), 1u);
     viewer.take(*scene.sent("car/a/delta/" + is)[0]);
+    EXPECT_EQ(viewer.held(), scene.car("a").told[level].latest);
+  }
+  for (int k = 0; k < 600 && !scene.car("a").body.settled; ++k) scene.step();
+  for (size_t level = 0; level < levels; ++level) {
+    scene.step({{"car/a/key/" + std::to_string(level), {}, 66}});
+    host::Viewer viewer = viewer_of(level);
+    for (const Message& message : scene.outbox)
+      if (message.ticket == 66) viewer.take_keyframe(message.bytes);
     EXPECT_EQ(viewer.held(), scene.car("a").told[level].latest);
   }
   scene.step({{"car/b/key/0", {}, 99}});
