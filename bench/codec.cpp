@@ -24,7 +24,8 @@ namespace {
 using namespace crumple;
 
 constexpr int repetitions = 30;
-constexpr double speed = 50 / 3.6;  // m/s
+constexpr double speed = 50 / 3.6;          // m/s
+constexpr float default_quantum = 0.5e-3f;  // m; the last one below is what those far away are told in
 
 struct Frame {
   std::vector<Vec3> node, vertex;  // displacements, m
@@ -156,7 +157,7 @@ void play(const std::string& path, const std::string& scene, const std::filesyst
   if (!file.flush()) throw std::runtime_error((folder / name).string() + ": cannot be written");
   const double each = double(frames.size()), to_20k = 1e3 * 20'000 / double(car->model.vertex.size()) / each;
   for (const bool nodes : {true, false}) {
-    for (const float quantum : {0.25e-3f, 0.5e-3f, 1e-3f}) {
+    for (const float quantum : {0.25e-3f, default_quantum, 1e-3f, float(surface_levels[1].quanta) * default_quantum}) {
       Sums sums;
       for (const Frame& frame : frames) {
         measure(*car, nodes ? frame.node : frame.vertex, frame.vertex, nodes, quantum, sums);

@@ -62,7 +62,7 @@ Verdict obey_order(World& world, const Target& target, DespawnOrder&&, Bytes&) {
 
 Verdict obey_order(World&, const Target& target, RepairOrder&& order, Bytes&) {
   repair(target.car.car->model, order.amount, target.car.body);
-  target.car.told.due = true;
+  renew(target.car);
   return std::nullopt;
 }
 
@@ -99,7 +99,7 @@ Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
   measure_reach(model, body);
-  target.car.told.due = true;
+  renew(target.car);
   return std::nullopt;
 }
 

@@ -1,6 +1,6 @@
-// Reads the recording once. Surfaces come as viewers get them (keyframes and deltas); a car's pose is the host's intent, or in
-// a tick that has a reaction what became of it. A frame is the state after the first tick of its time, or of a tick in which a
-// car appears; frames in which nothing changed are left out.
+// Reads the recording once. Surfaces come as viewers get them (keyframes and deltas of level 0); a car's pose is the host's
+// intent, or in a tick that has a reaction what became of it. A frame is the state after the first tick of its time, or of a
+// tick in which a car appears; frames in which nothing changed are left out.
 #include "export.h"
 
 #include <algorithm>
@@ -111,7 +111,7 @@ void take(const RecordingReader::Item& item, Export& out) {
   if (is_input(item.channel)) return take_input(item, out);
   if (item.channel == Channel::answer) return take_answer(item, out);
   if (item.channel == Channel::reactions) return take_reactions(item, out);
-  if (item.channel != Channel::keyframe && item.channel != Channel::delta) return;
+  if ((item.channel != Channel::keyframe && item.channel != Channel::delta) || level_of(item.key) != 0) return;
   Actor& actor = out.actors[std::string(item.key.substr(4, item.key.find('/', 4) - 4))];
   client::Surface& surface = actor.surface;
   out.appeared |= !actor.shown;

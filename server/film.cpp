@@ -23,7 +23,7 @@ struct Film {
   }
   // For the viewers the next showing is another server: its ticks begin anew.
   ~Film() {
-    for (const auto& [car, surface] : cars) net_retract(net, (root + car).c_str());
+    for (const auto& [car, surfaces] : cars) net_retract(net, (root + car).c_str());
     net_retract(net, (root + "server").c_str());
   }
   Film(const Film&) = delete;
@@ -32,22 +32,24 @@ struct Film {
   RecordingReader file;
   Net* net;
   std::string root;
-  std::map<std::string, client::Surface, std::less<>> cars;  // by "car/{id}": what a viewer of the film holds now
-  std::string despawning;                                    // its Command came, its Answer did not
+  // By "car/{id}": what viewers of the film on each level hold now.
+  std::map<std::string, std::array<client::Surface, surface_levels.size()>, std::less<>> cars;
+  std::string despawning;  // its Command came, its Answer did not
 };
 
 // The keyframe that the next deltas refer to, whole.
 void answer_key(Film& film, const NetEvent& query) {
   std::string_view key = query.key;
   if (key.starts_with(film.root)) key.remove_prefix(film.root.size());
-  key = key.substr(0, key.rfind('/'));
-  const auto car = film.cars.find(key);
-  if (car == film.cars.end() || car->second.key.empty()) {
-    const std::string sentence = std::string(key) + " does not live at this point of the recording";
+  const auto refuse = [&](const std::string& sentence) {
     net_reply(film.net, query.ticket, sentence.data(), sentence.size(), 1);
-    return;
-  }
-  const client::Surface& surface = car->second;
+  };
+  Address address;
+  if (const Verdict refusal = decode(key, film.file.head().limits, address)) return refuse(refusal->sentence);
+  const auto car = film.cars.find("car/" + address.id);
+  if (car == film.cars.end() || car->second[address.level].key.empty())
+    return refuse("car " + address.id + " does not live at this point of the recording");
+  const client::Surface& surface = car->second[address.level];
   const auto parts = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key,
                                      static_cast<uint32_t>(surface.key.size() / 3));
   net_reply(film.net, query.ticket, parts.front().data(), parts.front().size(), 0);
@@ -75,8 +77,9 @@ void follow(Film& film, const RecordingReader::Item& item) {
   if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
     const std::string car(item.key.substr(0, item.key.find('/', 4)));
     const auto [at, fresh] = film.cars.try_emplace(car);
-    static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, at->second)
-                                                        : client::apply_delta(item.bytes, at->second));
+    client::Surface& surface = at->second[level_of(item.key)];
+    static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
+                                                        : client::apply_delta(item.bytes, surface));
     if (fresh) net_announce(film.net, (film.root + car).c_str());
   } else if (item.channel == Channel::command) {
     flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
@@ -118,7 +121,7 @@ void show_films(const ReplayOptions& options, const std::atomic<bool>& stop) {
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   if (net_open("peer", options.listen.c_str(), nullptr, network, 0, &net) < 0) throw std::runtime_error(transport_error());
   const std::unique_ptr<Net, void (*)(Net*)> close(net, net_close);
-  net_queryable(net, "crumple/1/*/car/*/key", 1'000);
+  net_queryable(net, "crumple/1/*/car/*/key/*", 1'000);
   net_queryable(net, "crumple/1/asset/*", 1'000);
   do
     for (const std::string& path : options.files) show(path, options, net, stop);

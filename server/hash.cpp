@@ -74,8 +74,10 @@ void add(const Instance& car, Sum& sum) {
     sum.add(change.angular_velocity);
   }
   sum.add(car.touched_tick);
-  sum.add(car.told.keyframe_tick);
-  sum.add(uint64_t(car.told.due) + 2 * uint64_t(car.told.flowing));
+  for (const Told& told : car.told) {
+    sum.add(told.keyframe_tick);
+    sum.add(uint64_t(told.due) + 2 * uint64_t(told.flowing));
+  }
 }
 
 void add(const Obstacle& obstacle, Sum& sum) {

@@ -11,15 +11,18 @@ namespace {
 constexpr double told_seconds = 10;  // ten healths, any of which shows a viewer that it lost something
 constexpr size_t told_most = 500;    // cars in one health, the latest, so that it stays one batch
 
+uint64_t last(const HealthReport::CarTold& told) { return *std::max_element(told.ticks.begin(), told.ticks.end()); }
+
 // Cars of which viewers were sent something lately.
 std::vector<HealthReport::CarTold> told_lately(const World& world) {
   std::vector<HealthReport::CarTold> out;
   for (const auto& [id, car] : world.cars) {
-    if (car.told.tick > 0 && double(world.tick - car.told.tick) <= told_seconds * world.rate)
-      out.push_back({id, car.told.tick});
+    HealthReport::CarTold told{id, {}};
+    for (const Told& level : car.told) told.ticks.push_back(level.tick);
+    if (last(told) > 0 && double(world.tick - last(told)) <= told_seconds * world.rate) out.push_back(std::move(told));
   }
   if (out.size() <= told_most) return out;
-  std::stable_sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return a.tick > b.tick; });
+  std::stable_sort(out.begin(), out.end(), [](const auto& a, const auto& b) { return last(a) > last(b); });
   out.resize(told_most);
   return out;
 }

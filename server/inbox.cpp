@@ -105,7 +105,7 @@ void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& 
           refusal = take_obstacles(world, to.id, message.bytes);
           break;
         case Address::Kind::keyframe:
-          asked.push_back({message.key, to.id, message.ticket});
+          asked.push_back({message.key, to.id, to.level, message.ticket});
           continue;
         case Address::Kind::budget:
           refusal = take_budget(world, message.bytes);

@@ -196,6 +196,9 @@ Verb add_watch(CLI::App& app, client::WatchOptions& options) {
   add_network(verb, options.network, "clients/network.json5");
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(is_id);
+  verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
+      ->check(CLI::Range(0, 1))
+      ->capture_default_str();
   verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
   verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
   verb.add_option("--obj", options.obj, "writes the surface that is held at the end")->type_name("FILE.obj");

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "schema/message_generated.h"
+#include "wire/surface.h"
 
 // The schema of all messages, in the file: a recording explains itself to any MCAP tool.
 asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSAGE_BFBS "\"\nmessage_schema_end:\n.popsection");
@@ -65,9 +66,11 @@ Channel channel_of(std::string_view key) {
     if (ends("/obstacles")) return Channel::obstacles;
     if (ends("/reactions")) return Channel::reactions;
   } else if (key.starts_with("car/")) {
-    if (key.find('/', 4) == std::string_view::npos) return Channel::command;
-    if (ends("/key")) return Channel::keyframe;
-    if (ends("/delta/0")) return Channel::delta;
+    const size_t slash = key.find('/', 4);
+    if (slash == std::string_view::npos) return Channel::command;
+    const std::string_view what = key.substr(slash, key.size() - slash - 1);
+    if (what == "/key/" && level_of(key) < surface_levels.size()) return Channel::keyframe;
+    if (what == "/delta/" && level_of(key) < surface_levels.size()) return Channel::delta;
     if (ends("/answer")) return Channel::answer;
   }
   return Channel::other;

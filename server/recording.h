@@ -6,7 +6,7 @@
 //   messages      topic = the key on the wire, "crumple/1/{scene}/...", schema = the FlatBuffers table, sequence = the tick
 //     .../host/{host}/poses, .../obstacles, .../car/{car} (Command), .../budget    inputs, in the order in which the
 //                                                                       tick takes them
-//     .../host/{host}/reactions, .../car/{car}/key, .../delta/0, .../health    outputs
+//     .../host/{host}/reactions, .../car/{car}/key/{level}, .../delta/{level}, .../health    outputs
 //     .../car/{car}/answer                                              output: Answer to the Command
 //     .../tick                                                          TickEnd
 //
@@ -45,6 +45,8 @@ struct RecordingHead {
 // "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.
 enum class Channel { poses, obstacles, budget, command, reactions, keyframe, delta, answer, health, tick_end, other };
 Channel channel_of(std::string_view key);
+// Of the key of a keyframe or delta: its surface level.
+inline size_t level_of(std::string_view key) { return size_t(key.back() - '0'); }
 // Its table's name in the schema; "" for other.
 const char* table_of(Channel);
 inline bool is_input(Channel channel) { return channel <= Channel::command; }

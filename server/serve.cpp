@@ -202,7 +202,7 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0));
-  for (const char* what : {"car/*", "car/*/key", "replica/world"})
+  for (const char* what : {"car/*", "car/*/key/*", "replica/world"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
   need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
   need(net_announce(server.net, (server.root + "server").c_str()));
@@ -250,7 +250,7 @@ void admit_queries(Server& server) {
   Inbox admitted;
   for (int left = queries_pay; !server.queries.empty(); server.queries.pop_front()) {
     Message& next = server.queries.front();
-    left -= next.key.ends_with("/key") ? keyframe_costs : other_query_costs;
+    left -= channel_of(next.key) == Channel::keyframe ? keyframe_costs : other_query_costs;
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
     if (next.key.starts_with(asset_root) || next.key == world_key) {
@@ -289,7 +289,7 @@ void announce_cars(Server& server) {
   for (const Message& message : server.outbox) {
     const Channel channel = channel_of(message.key);
     if (message.ticket == 0 && channel == Channel::keyframe) {
-      const std::string car = message.key.substr(0, message.key.size() - 4);
+      const std::string car = message.key.substr(0, message.key.find('/', 4));
       if (server.announced.insert(car).second) net_announce(server.net, (server.root + car).c_str());
     } else if (message.ticket != 0 && channel == Channel::command) {
       if (!flatbuffers::GetRoot<schema::Answer>(message.bytes.data())->ok()) continue;

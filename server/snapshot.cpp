@@ -10,7 +10,7 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 1;  // to be counted up with every change of a field below
+constexpr uint32_t format = 2;  // to be counted up with every change of a field below
 
 class Writer {
  public:
@@ -130,7 +130,9 @@ void field(File& file, Instance& car) {
   field(file, car.level_tick, car.importance, car.host, car.mass.mass, car.mass.inertia, car.mass.center, car.mass.planar);
   field(file, car.parameters, car.motion);
   for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
-  field(file, car.touched_tick, car.hashes[0], car.hashes[1], car.hashes[2], car.told, car.sweeps, car.substeps, car.fresh);
+  field(file, car.touched_tick, car.sweeps, car.substeps, car.fresh);
+  for (uint64_t& hash : car.hashes) field(file, hash);
+  for (Told& told : car.told) field(file, told);
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 
@@ -147,8 +149,10 @@ void check(const Model& model, const Instance& car) {
     const size_t size = history.residual[size_t(k)].size();
     good &= size == history.residual[0].size() && size == history.result[size_t(k)].size() && size >= model.node.size();
   }
-  good &= fits(car.told.keyframe.size(), 3 * car.levels->front()->skin_node.size());
-  good &= fits(car.told.latest.size(), 3 * car.levels->front()->skin_node.size());
+  for (const Told& told : car.told) {
+    good &= fits(told.keyframe.size(), 3 * car.levels->front()->skin_node.size());
+    good &= fits(told.latest.size(), 3 * car.levels->front()->skin_node.size());
+  }
   if (!good) throw std::runtime_error("the snapshot of the world is damaged: a body does not fit its car");
 }
 

@@ -39,9 +39,9 @@ struct Instance {
   Motion motion;
   ImpulseLog log;
   uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
-  // Of body, told.keyframe and told.latest; kept, because most cars are idle in most ticks.
-  std::array<uint64_t, 3> hashes{};
-  Told told;
+  // Of body, and of keyframe and latest of each surface level; kept, because most cars are idle in most ticks.
+  std::array<uint64_t, 1 + 2 * surface_levels.size()> hashes{};
+  std::array<Told, surface_levels.size()> told;
   // The last ticks', from which this one's share of the budget follows.
   uint16_t sweeps = 0;    // of a sub-step, that it may make at most
   uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
@@ -52,7 +52,8 @@ struct Instance {
   Ahead ahead = Ahead::nothing;
   std::shared_ptr<const Car> next_level;  // that it comes to; null: it stays
   bool changed = false;                   // it came to another
-  News news;
+  uint64_t order = 0;                     // among the cars of the scene, by their ids
+  std::array<News, surface_levels.size()> news;
 };
 
 // A host lives as long as it has cars or obstacles; its sequence numbers are forgotten with it.
@@ -113,6 +114,7 @@ struct World {
 // A query for a keyframe, answered when the tick is done.
 struct Asked {
   std::string key, car;
+  size_t level;
   uint64_t ticket;
 };
 
@@ -134,6 +136,8 @@ double work_of(const Model&, const Response&);
 double crash_work(const World&, const Instance&, const Car& level);
 // How many sub-steps and sweeps each car may make in this tick (budget.cpp).
 void ration(World&, const std::vector<Instance*>&);
+// Its viewers are told of it anew in the next tick.
+void renew(Instance&);
 // Counts a refusal (health.cpp).
 void count(World&, const Refusal&);
 // Answers a query with a refusal; samples get no answer.

@@ -81,13 +81,24 @@ void displace(const World& world, const Instance& car, std::vector<Vec3>& out) {
   }
 }
 
+float quantum_of(const World& world, size_t level) { return world.quantum * float(surface_levels[level].quanta); }
+
 // What its viewers are to be told of the car.
 void show(const World& world, Instance& car, Worker& worker) {
   const Watch watch(world.clock, worker.times[size_t(Stage::surface)]);
   displace(world, car, worker.displaced);
   worker.displacement.resize(3 * worker.displaced.size());
-  quantise(worker.displaced, world.quantum, worker.displacement);
-  car.news = tell({world.tick, car.levels->front()->hash, world.quantum}, car.body.settled, worker.displacement, car.told);
+  for (size_t level = 0; level < surface_levels.size(); ++level) {
+    Told& told = car.told[level];
+    // In turns, by their order. What has come to rest does not wait for its turn: it may have none for long.
+    const bool its_turn = (world.tick + car.order) % surface_levels[level].ticks == 0;
+    if (!its_turn && !car.body.settled && !told.due) continue;
+    const float quantum = quantum_of(world, level);
+    quantise(worker.displaced, quantum, worker.displacement);
+    car.news[level] = tell({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
+    car.hashes[1 + 2 * level] = hash(told.keyframe);
+    car.hashes[2 + 2 * level] = hash(told.latest);
+  }
 }
 
 // Whether something may meet a car at rest within the tick.
@@ -109,12 +120,13 @@ void prepare_car(const World& world, Instance& car, Worker&) {
 }
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
-  const bool idle = car.body.settled && !car.body.touching && !car.told.due && !car.told.flowing && !car.changed;
+  const bool told = std::none_of(car.told.begin(), car.told.end(), [](const Told& each) { return each.due || each.flowing; });
+  const bool idle = car.body.settled && !car.body.touching && told && !car.changed;
   move(world, car, worker);
   car.news = {};
   if (idle && car.response.substeps == 0) return;
   show(world, car, worker);
-  car.hashes = {hash(car.body), hash(car.told.keyframe), hash(car.told.latest)};
+  car.hashes[0] = hash(car.body);
 }
 
 // Cars know nothing of each other within a tick, so any number of workers gives the same.
@@ -172,7 +184,10 @@ uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
 void advance_cars(World& world, int threads) {
   open_arena(world, threads);
   std::vector<Instance*> cars;
-  for (auto& [id, car] : world.cars) cars.push_back(&car);
+  for (auto& [id, car] : world.cars) {
+    car.order = cars.size();
+    cars.push_back(&car);
+  }
   for_each_car(world, cars, 16, prepare_car);
   for_each_car(world, choose_levels(world, cars), 1, change_level);
   ration(world, cars);
@@ -193,8 +208,10 @@ void move_obstacles(World& world) {
 
 void tell_viewers(World& world, Outbox& outbox) {
   for (auto& [id, car] : world.cars) {
-    const char* kind = car.news.kind == News::Kind::keyframe ? "/key" : "/delta/0";
-    for (Bytes& part : car.news.parts) outbox.push_back({"car/" + id + kind, std::move(part)});
+    for (size_t level = 0; level < surface_levels.size(); ++level) {
+      const char* kind = car.news[level].kind == News::Kind::keyframe ? "/key/" : "/delta/";
+      for (Bytes& part : car.news[level].parts) outbox.push_back({"car/" + id + kind + std::to_string(level), std::move(part)});
+    }
     car.news = {};
   }
 }
@@ -223,8 +240,9 @@ void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox)
     }
     if (one.ticket == 0) continue;
     const Instance& car = found->second;
-    auto parts =
-        encode_keyframe({car.told.keyframe_tick, car.levels->front()->hash, world.quantum}, car.told.keyframe, max_nodes);
+    const Told& told = car.told[one.level];
+    auto parts = encode_keyframe({told.keyframe_tick, car.levels->front()->hash, quantum_of(world, one.level)}, told.keyframe,
+                                 max_nodes);
     outbox.push_back({one.key, std::move(parts.at(0)), one.ticket});
   }
 }
@@ -281,7 +299,11 @@ void tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
 uint64_t tick_count(const World& world) { return world.tick; }
 
 void renew(World& world) {
-  for (auto& [id, car] : world.cars) car.told.due = true;
+  for (auto& [id, car] : world.cars) renew(car);
+}
+
+void renew(Instance& car) {
+  for (Told& told : car.told) told.due = true;
 }
 
 std::vector<std::string> cars(const World& world) {

@@ -37,8 +37,8 @@ Quanta random_quanta(std::mt19937& random, size_t count = nodes) {
   return quanta;
 }
 
-std::vector<Bytes> keyframe(uint64_t tick, const Quanta& quanta, uint32_t largest = nodes) {
-  return encode_keyframe({tick, asset, 0.0005f}, quanta, largest);
+std::vector<Bytes> keyframe(uint64_t tick, const Quanta& quanta, uint32_t largest = nodes, float quantum = 0.0005f) {
+  return encode_keyframe({tick, asset, quantum}, quanta, largest);
 }
 
 std::vector<Bytes> delta(uint64_t tick, const Quanta& quanta, uint64_t key_tick, const Quanta& key) {
@@ -286,26 +286,26 @@ TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
 struct OwnServer {
   std::unique_ptr<Net, decltype(&net_close)> net{nullptr, net_close};
   std::unique_ptr<Crumple, decltype(&crumple_close)> viewer{nullptr, crumple_close};
-  uint64_t tick = 5, questions = 0;
+  uint64_t tick = 5, far_tick = 3, questions = 0, refuses = 0;
   const Quanta quanta = Quanta(3 * nodes, 1);
 
   void start() {
     Net* opened = nullptr;
     ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), TRANSPORT_OK) << transport_error();
     net.reset(opened);
-    ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key", 16), TRANSPORT_OK);
+    ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key/*", 16), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/server"), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);
     const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(opened), "main", nullptr, nullptr};
     Crumple* handle = nullptr;
     ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
     viewer.reset(handle);
-    ASSERT_EQ(crumple_follow(handle, "a"), CRUMPLE_OK);
+    ASSERT_EQ(crumple_follow(handle, "a", 0), CRUMPLE_OK);
   }
   void put(const char* key, const Bytes& bytes) { net_put(net.get(), key, bytes.data(), bytes.size(), NET_DATA); }
   void put_health() {
     HealthReport report;
-    report.told.push_back({"a", tick});
+    report.told.push_back({"a", {tick, far_tick}});
     put("crumple/1/main/health", encode_health(report));
   }
   void answer() {
@@ -313,9 +313,9 @@ struct OwnServer {
     const int count = net_poll(net.get(), events, 16, 5'000);
     for (int e = 0; e < count; ++e) {
       if (events[e].kind != NET_QUERY) continue;
-      const Bytes bytes = keyframe(tick, quanta).front();
-      net_reply(net.get(), events[e].ticket, bytes.data(), bytes.size(), 0);
-      ++questions;
+      const bool is_far = std::string_view(events[e].key).ends_with("/1");
+      const Bytes bytes = is_far ? keyframe(far_tick, quanta, nodes, 0.004f).front() : keyframe(tick, quanta).front();
+      net_reply(net.get(), events[e].ticket, bytes.data(), bytes.size(), ++questions <= refuses);
     }
   }
   // The tick that the viewer holds; 0: none.
@@ -323,6 +323,20 @@ struct OwnServer {
     crumple_poll(viewer.get(), 5'000);
     CrumpleSurface surface{};
     return crumple_surface(viewer.get(), "a", &surface) == CRUMPLE_OK ? surface.tick : 0;
+  }
+  float quantum() const {
+    CrumpleSurface surface{};
+    return crumple_surface(viewer.get(), "a", &surface) == CRUMPLE_OK ? surface.quantum : 0;
+  }
+  uint64_t surfaces() const {
+    CrumpleStatistics statistics;
+    crumple_statistics(viewer.get(), &statistics);
+    return statistics.surface;
+  }
+  // Until the viewer subscribes to the key, or no longer does.
+  bool heard(const char* key, bool wanted) {
+    for (int k = 0; k < 3000 && (net_matching(net.get(), key) == 1) != wanted; ++k) held();
+    return (net_matching(net.get(), key) == 1) == wanted;
   }
   bool comes_to_hold(uint64_t wanted, bool healths) {
     for (int k = 0; k < 500; ++k) {
@@ -343,13 +357,94 @@ TEST(Client, AsksForWhatHealthSaysThatItLost) {
   EXPECT_TRUE(server.comes_to_hold(9, true)) << "asked " << server.questions - asked << " times more";
 }
 
+TEST(Client, AsksAgainWhereItsFirstQuestionIsRefused) {
+  OwnServer server;
+  server.refuses = 2;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  EXPECT_TRUE(server.comes_to_hold(5, false)) << server.questions;
+}
+
+TEST(Client, WhoGoesFarHoldsWhatItHadUntilTheFirstKeyframeOfThatLevelHoweverOld) {
+  const char *near_delta = "crumple/1/main/car/a/delta/0", *far_delta = "crumple/1/main/car/a/delta/1";
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
+  EXPECT_EQ(crumple_follow(server.viewer.get(), "a", 2), CRUMPLE_BAD_ARGUMENT);
+  ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 1), CRUMPLE_OK);
+  ASSERT_TRUE(server.heard(far_delta, true));
+  ASSERT_TRUE(server.heard(near_delta, false)) << "what is not wanted is not sent";
+  // Against the keyframe that is held, if this were one level.
+  const uint64_t before = server.surfaces();
+  server.put(far_delta, delta(7, server.quanta, 5, server.quanta).front());
+  for (int k = 0; k < 1000 && server.surfaces() == before; ++k) ASSERT_EQ(server.held(), 5u);
+  ASSERT_EQ(server.surfaces(), before + 1);
+  EXPECT_EQ(server.held(), 5u);
+  EXPECT_EQ(server.quantum(), 0.0005f);
+  ASSERT_TRUE(server.comes_to_hold(3, false)) << "asked " << server.questions << " times";
+  EXPECT_EQ(server.quantum(), 0.004f);
+  server.put(far_delta, delta(9, server.quanta, 3, server.quanta).front());
+  const uint64_t asked = server.questions;
+  EXPECT_TRUE(server.comes_to_hold(9, false));
+  for (int k = 0; k < 1000 && server.questions == asked; ++k) server.answer(), server.held();
+  ASSERT_EQ(server.questions, asked + 1) << "once more, since all is silent";
+  server.far_tick = 15;  // and nobody was sent it
+  EXPECT_TRUE(server.comes_to_hold(15, true)) << "health tells of each level";
+  server.tick = 14;
+  ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 0), CRUMPLE_OK);
+  ASSERT_TRUE(server.comes_to_hold(14, false));
+  EXPECT_EQ(server.quantum(), 0.0005f);
+}
+
+TEST(Client, WhoGoesFarDoesNotTakeTheAnswerToWhatItAskedNear) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  CrumpleStatistics statistics{};
+  for (int k = 0; k < 1000 && statistics.asked == 0; ++k) {
+    server.held();
+    crumple_statistics(server.viewer.get(), &statistics);
+  }
+  ASSERT_EQ(statistics.asked, 1u);
+  ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 1), CRUMPLE_OK);
+  for (int k = 0; k < 1000 && server.held() == 0; ++k) server.answer();
+  EXPECT_EQ(server.held(), 3u);
+  EXPECT_EQ(server.quantum(), 0.004f);
+}
+
+TEST(Client, GetsNothingTwiceWhoFollowsAllCarsFarAndOneOfThemNear) {
+  const char *near_delta = "crumple/1/main/car/a/delta/0", *far_delta = "crumple/1/main/car/a/delta/1";
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  const auto follow = [&](const char* car, int level) {
+    ASSERT_EQ(crumple_follow(server.viewer.get(), car, level), CRUMPLE_OK);
+  };
+  ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
+  follow(nullptr, 1);
+  ASSERT_TRUE(server.comes_to_hold(3, false));
+  follow("a", 0);
+  ASSERT_TRUE(server.comes_to_hold(5, false));
+  ASSERT_TRUE(server.heard(far_delta, true));
+  uint64_t before = server.surfaces();
+  server.put(far_delta, delta(7, server.quanta, 3, server.quanta).front());
+  server.put(near_delta, delta(8, server.quanta, 5, server.quanta).front());
+  ASSERT_TRUE(server.comes_to_hold(8, false));
+  EXPECT_EQ(server.surfaces(), before + 1) << "of the far level nothing is taken in";
+  follow("a", 1);
+  ASSERT_TRUE(server.comes_to_hold(3, false));
+  ASSERT_TRUE(server.heard(near_delta, false));
+  before = server.surfaces();
+  server.put(far_delta, delta(9, server.quanta, 3, server.quanta).front());
+  server.put(far_delta, delta(10, server.quanta, 3, server.quanta).front());
+  ASSERT_TRUE(server.comes_to_hold(10, false));
+  EXPECT_EQ(server.surfaces(), before + 2);
+}
+
 TEST(Client, ShowsNothingOldAsCurrentAfterAPause) {
   OwnServer server;
   ASSERT_NO_FATAL_FAILURE(server.start());
   ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
   // While the viewer sleeps the car crashes. It wakes up to the oldest message; the newest is not yet answered.
   server.tick = 6;
-  server.put("crumple/1/main/car/a/key", keyframe(6, server.quanta).front());
+  server.put("crumple/1/main/car/a/key/0", keyframe(6, server.quanta).front());
   std::this_thread::sleep_for(std::chrono::milliseconds(700));
   server.tick = 60;
   for (int k = 0; k < 20; ++k) ASSERT_EQ(server.held(), 0u);

@@ -30,10 +30,13 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   start_server(path("session.mcap"));
   Crumple* host = open("tester");
   ASSERT_NE(host, nullptr);
-  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
   Crumple* viewer = open();
   ASSERT_NE(viewer, nullptr);
-  ASSERT_EQ(crumple_follow(viewer, nullptr), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(viewer, nullptr, 0), CRUMPLE_OK);
+  Crumple *far_viewer = open(), *comes_near = open();
+  ASSERT_EQ(crumple_follow(far_viewer, nullptr, 1), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(comes_near, "box", 1), CRUMPLE_OK);
   spawn(host);
   crash(host);
   if (HasFatalFailure()) return;
@@ -42,8 +45,19 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   const uint64_t dent = hash_held(host);
   EXPECT_TRUE(until(viewer, [&] { return hash_held(viewer) == dent; })) << "two viewers differ";
   Crumple* late = open();
-  ASSERT_EQ(crumple_follow(late, nullptr), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(late, nullptr, 0), CRUMPLE_OK);
   EXPECT_TRUE(until(late, [&] { return hash_held(late) == dent; })) << "the late joiner differs";
+
+  // Who comes late and far is answered with what the server holds of that level.
+  Crumple* late_far = open();
+  ASSERT_EQ(crumple_follow(late_far, "box", 1), CRUMPLE_OK);
+  ASSERT_TRUE(until(late_far, [&] { return hash_held(late_far) != 0; }));
+  const uint64_t far_dent = hash_held(late_far);
+  EXPECT_NE(far_dent, dent);
+  EXPECT_NEAR(deepest(late_far), deepest(host) / 8.0, 0.6) << "in quanta of 4 mm";
+  EXPECT_TRUE(until(far_viewer, [&] { return hash_held(far_viewer) == far_dent; })) << "the far viewer differs";
+  ASSERT_EQ(crumple_follow(comes_near, "box", 0), CRUMPLE_OK);
+  EXPECT_TRUE(until(comes_near, [&] { return hash_held(comes_near) == dent; })) << "who came near differs";
 
   CrumpleSurface surface{};
   ASSERT_EQ(crumple_surface(late, "box", &surface), CRUMPLE_OK);
@@ -75,8 +89,10 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   const std::vector<uint8_t> state(saved.state, saved.state + saved.state_size);
   EXPECT_TRUE(answer(host, crumple_repair(host, "box", 1, &ticket), ticket).ok);
   EXPECT_TRUE(until(viewer, [&] { return deepest(viewer) == 0; })) << "repair did not arrive";
+  EXPECT_TRUE(until(far_viewer, [&] { return deepest(far_viewer) == 0; })) << "repair did not arrive far away";
   EXPECT_TRUE(answer(host, crumple_load(host, "box", state.data(), state.size(), &ticket), ticket).ok);
   EXPECT_TRUE(until(viewer, [&] { return hash_held(viewer) == dent; })) << "load gave another dent";
+  EXPECT_TRUE(until(far_viewer, [&] { return hash_held(far_viewer) == far_dent; })) << "load gave another dent far away";
 
   EXPECT_TRUE(answer(host, crumple_despawn(host, "box", &ticket), ticket).ok);
   EXPECT_TRUE(until(viewer, [&] { return crumple_surface(viewer, "box", &surface) == CRUMPLE_OK && !surface.alive; }));
@@ -97,8 +113,11 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   start({"replay", path("session.mcap"), "--publish", "--loop", "--listen", "tcp/127.0.0.1:0"});
   Crumple* audience = open();
   ASSERT_NE(audience, nullptr);
-  ASSERT_EQ(crumple_follow(audience, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(audience, "box", 0), CRUMPLE_OK);
   EXPECT_TRUE(until(audience, [&] { return hash_held(audience) == dent; })) << "the film does not show the dent";
+  Crumple* far_audience = open();
+  ASSERT_EQ(crumple_follow(far_audience, "box", 1), CRUMPLE_OK);
+  EXPECT_TRUE(until(far_audience, [&] { return hash_held(far_audience) == far_dent; })) << "nor to those far away";
 }
 
 // Two servers and a router; the one that owns the scene is killed while the car is being crushed.
@@ -117,7 +136,9 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   endpoint = net_endpoint(router.get());
   Crumple *host = open("game"), *viewer = open();
   spawn(host);
-  ASSERT_EQ(crumple_follow(viewer, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(viewer, "box", 0), CRUMPLE_OK);
+  Crumple* far_viewer = open();
+  ASSERT_EQ(crumple_follow(far_viewer, "box", 1), CRUMPLE_OK);
   auto standby = serve({"--standby", "--record", recording});
   ASSERT_TRUE(standby->read_until("holds the world")) << standby->text;
 
@@ -157,10 +178,16 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   }));
   ASSERT_TRUE(until(viewer, [&] { return hash_held(viewer) != 0; }));
   Crumple* late = open();
-  ASSERT_EQ(crumple_follow(late, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(late, "box", 0), CRUMPLE_OK);
   EXPECT_TRUE(until(late, [&] {
     crumple_poll(viewer, 10'000);
     return hash_held(late) != 0 && hash_held(late) == hash_held(viewer);
+  }));
+  Crumple* late_far = open();
+  ASSERT_EQ(crumple_follow(late_far, "box", 1), CRUMPLE_OK);
+  EXPECT_TRUE(until(late_far, [&] {
+    crumple_poll(far_viewer, 10'000);
+    return hash_held(late_far) != 0 && hash_held(late_far) == hash_held(far_viewer);
   }));
   standby->send(SIGTERM);
   EXPECT_EQ(standby->wait(), 0) << standby->text;
@@ -204,7 +231,7 @@ TEST_F(EndToEnd, OneOfTwoThatStandByGoesOnAndNoneWhoseOwnLineIsCut) {
   EXPECT_TRUE(answer(host, crumple_set_parameters(host, "box", &keep, &ticket), ticket).ok) << "the owner serves on";
 
   owner->send(SIGKILL);
-  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
   CrumpleSurface held{};
   EXPECT_TRUE(until(host, [&] { return crumple_surface(host, "box", &held) == CRUMPLE_OK && held.alive; }));
   // One that does not see the token of the other (a router that was replaced may not have passed it on) takes over as well:
@@ -250,6 +277,8 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   EXPECT_EQ(drive.code, 0) << drive.text;
   for (const char* part : {"contact at 36.0 km/h", "residual crush", "36.0 km/h", "made by the tests"})
     EXPECT_NE(drive.text.find(part), std::string::npos) << part << "\n" << drive.text;
+  const Outcome far_watch = run({"watch", "--once", "--level", "1", "--connect", endpoint});
+  EXPECT_NE(far_watch.text.find("quantum 4 mm"), std::string::npos) << far_watch.text;
   const Outcome watch = run({"watch", "--once", "--connect", endpoint, "--obj", path("dent.obj")});
   EXPECT_EQ(watch.code, 0) << watch.text;
   EXPECT_NE(watch.text.find("hash "), std::string::npos) << watch.text;

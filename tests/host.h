@@ -114,17 +114,18 @@ const Table* read_as(const Bytes& bytes) {
   return flatbuffers::GetRoot<Table>(data);
 }
 
-// A viewer of one car.
+// A viewer of one car on one surface level.
 struct Viewer {
   client::Surface surface;
+  std::string level = "0";
 
   const std::vector<int16_t>& key() const { return surface.key; }
   const std::vector<int16_t>& held() const { return surface.quanta; }
   void take_keyframe(const Bytes& bytes) { expect_taken(client::apply_keyframe(bytes_of(bytes), surface)); }
   void take_delta(const Bytes& bytes) { expect_taken(client::apply_delta(bytes_of(bytes), surface)); }
   void take(const Message& message) {
-    if (message.key.ends_with("/key")) take_keyframe(message.bytes);
-    if (message.key.ends_with("/delta/0")) take_delta(message.bytes);
+    if (message.key.ends_with("/key/" + level)) take_keyframe(message.bytes);
+    if (message.key.ends_with("/delta/" + level)) take_delta(message.bytes);
   }
 
  private:

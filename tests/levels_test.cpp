@@ -192,15 +192,15 @@ TEST(Levels, KeepTheDentAndViewersSeeNoJump) {
   scene.spawn();
   crash(scene, 1);
   ASSERT_EQ(scene.nodes(), nodes(0));
-  const std::vector<int16_t> before = scene.car().told.latest;
+  const std::vector<int16_t> before = scene.car().told[0].latest;
   const double absorbed = scene.car().body.absorbed;
   host::Viewer viewer;
-  viewer.surface.key = viewer.surface.quanta = scene.car().told.keyframe;
-  viewer.surface.key_tick = viewer.surface.tick = scene.car().told.keyframe_tick;
+  viewer.surface.key = viewer.surface.quanta = scene.car().told[0].keyframe;
+  viewer.surface.key_tick = viewer.surface.tick = scene.car().told[0].keyframe_tick;
   scene.step({scene.wall_behind(0.02), scene.pose(0.5f)});
   ASSERT_EQ(scene.nodes(), nodes(1));
   for (const Message& message : scene.outbox) viewer.take(message);
-  const std::vector<int16_t>& after = scene.car().told.latest;
+  const std::vector<int16_t>& after = scene.car().told[0].latest;
   EXPECT_EQ(viewer.held(), after) << "a change of level is told like any other";
   double change = 0, dent = 0;
   for (size_t i = 0; i < before.size(); ++i) {
@@ -212,7 +212,7 @@ TEST(Levels, KeepTheDentAndViewersSeeNoJump) {
   EXPECT_GT(change, 0);
   EXPECT_LT(change, 0.1 * dent);
   EXPECT_EQ(scene.car().body.absorbed, absorbed);
-  scene.step({{"car/a/key", {}, 7}});
+  scene.step({{"car/a/key/0", {}, 7}});
   for (const Message& message : scene.outbox) {
     if (message.ticket != 7) continue;
     EXPECT_EQ(host::read_as<schema::Keyframe>(message.bytes)->asset()->str(), level(0)->hash);
@@ -279,7 +279,7 @@ TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   const auto* loaded = host::read_as<schema::Answer>(other.outbox.at(0).bytes);
   EXPECT_TRUE(loaded->ok()) << (loaded->sentence() ? loaded->sentence()->str() : "");
   EXPECT_EQ(other.nodes(), nodes(2));
-  EXPECT_EQ(other.car().told.latest, scene.car().told.latest);
+  EXPECT_EQ(other.car().told[0].latest, scene.car().told[0].latest);
 }
 
 std::vector<uint64_t> hashes(int threads) {

@@ -210,13 +210,13 @@ class Guarded : public Operate {
   void play(const std::string& game, const std::string& player) {
     Crumple* host = open("game", game);
     ASSERT_NE(host, nullptr);
-    ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+    ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
     spawn(host);
     crash(host);
     if (HasFatalFailure()) return;
     Crumple* viewer = open(nullptr, player);
     ASSERT_NE(viewer, nullptr);
-    ASSERT_EQ(crumple_follow(viewer, nullptr), CRUMPLE_OK);
+    ASSERT_EQ(crumple_follow(viewer, nullptr, 0), CRUMPLE_OK);
     EXPECT_TRUE(until(viewer, [&] { return hash_held(host) != 0 && hash_held(viewer) == hash_held(host); }));
     CrumpleMesh mesh{};
     EXPECT_TRUE(until(viewer, [&] { return crumple_mesh(viewer, asset.c_str(), &mesh) == CRUMPLE_OK; }));
@@ -235,7 +235,7 @@ class Guarded : public Operate {
     }
     // What comes after all of this over the same link has been let through, so that would have been, too.
     ended = false;
-    ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box/key", nullptr, 0, 30'000, &ticket), 0);
+    ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box/key/0", nullptr, 0, 30'000, &ticket), 0);
     ASSERT_TRUE(until_raw(
         intruder, [&](const NetEvent& event) { ended |= event.kind == NET_REPLY && !event.failed; }, [&] { return ended; }));
     CrumpleSurface surface{};
@@ -415,7 +415,7 @@ TEST_F(Operate, ATerminatedServerClosesItsRecordingAndViewersSeeItGo) {
   start_server(path("%Y-ended.mcap"));
   Crumple* host = open("tester");
   ASSERT_NE(host, nullptr);
-  ASSERT_EQ(crumple_follow(host, "box"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
   spawn(host);
   crash(host);
   if (HasFatalFailure()) return;

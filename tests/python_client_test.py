@@ -130,7 +130,7 @@ class Surface:
 def crash(session, asset):
     inbox = queue.Queue()
     root = "crumple/1/py/"
-    subscribers = [session.declare_subscriber(root + key, inbox.put) for key in ("car/py1/key", "car/py1/delta/0")]
+    subscribers = [session.declare_subscriber(root + key, inbox.put) for key in ("car/py1/key/0", "car/py1/delta/0")]
     poses = session.declare_publisher(root + "host/python/poses")
     obstacles = session.declare_publisher(root + "host/python/obstacles")
     order(session, root + "car/py1", "Spawn", made("Spawn", asset=asset, host="python", pose=pose()))
@@ -138,7 +138,7 @@ def crash(session, asset):
     Shape = importlib.import_module("crumple.schema.Shape").Shape
     wall = made("Obstacle", id=1, shape=Shape.box, size=vec3(1.0, 5.0, 5.0), pose=pose(x=6.0), friction=0.3)
     surface, deltas, sequence = Surface(), 0, 0
-    for reply in session.get(root + "car/py1/key", timeout=10):  # as a viewer that comes late
+    for reply in session.get(root + "car/py1/key/0", timeout=10):  # as a viewer that comes late
         surface.take_keyframe(table("Keyframe").GetRootAs(bytes(reply.ok.payload)))
     assert surface.keyframe is not None and surface.deepest() == 0, "a car that was just spawned has no dent"
 
@@ -155,7 +155,7 @@ def crash(session, asset):
         except queue.Empty:
             continue
         data = bytes(sample.payload)
-        if str(sample.key_expr).endswith("/key"):
+        if str(sample.key_expr).endswith("/key/0"):
             surface.take_keyframe(table("Keyframe").GetRootAs(data))
         else:
             surface.take_delta(table("Delta").GetRootAs(data))

@@ -182,6 +182,24 @@ TEST(Net, KnowsWhetherSomebodySubscribes) {
   EXPECT_TRUE(wait_until(server, [&] { return net_matching(server.get(), "t/m") == 0; }));
 }
 
+TEST(Net, HearsNothingMoreOfWhatItUnsubscribedAndMaySubscribeAgain) {
+  const Session server = open_peer(), client = open_client(server);
+  ASSERT_EQ(net_subscribe(client.get(), "t/rest", 8), TRANSPORT_OK);
+  for (int k = 0; k < 3; ++k) {
+    ASSERT_EQ(net_subscribe(client.get(), "t/u", k == 1 ? 0 : 8), TRANSPORT_OK);  // its place in the inbox is taken again
+    ASSERT_TRUE(wait_for_subscriber(server, "t/u") && wait_for_subscriber(server, "t/rest"));
+    ASSERT_EQ(put(server, "t/u", "heard"), TRANSPORT_OK);
+    ASSERT_EQ(collect(client, 1).size(), 1u);
+    ASSERT_EQ(net_unsubscribe(client.get(), "t/u"), TRANSPORT_OK);
+    ASSERT_TRUE(wait_until(server, [&] { return net_matching(server.get(), "t/u") == 0; }));
+    ASSERT_EQ(put(server, "t/u", "not heard"), TRANSPORT_OK);
+    ASSERT_EQ(put(server, "t/rest", "heard"), TRANSPORT_OK);
+    const std::vector<Kept> events = collect(client, 1);
+    ASSERT_EQ(events.size(), 1u);
+    EXPECT_EQ(events[0].key, "t/rest");
+  }
+}
+
 TEST(Net, DoesNotHearItself) {
   const Session server = open_peer();
   ASSERT_EQ(net_subscribe(server.get(), "t/**", 10), TRANSPORT_OK);

@@ -289,12 +289,14 @@ TEST(Decode, KnowsItsKeysAndNoOthers) {
   EXPECT_EQ(kind_of("host/game/poses"), "game 0");
   EXPECT_EQ(kind_of("host/game/obstacles"), "game 1");
   EXPECT_EQ(kind_of("car/a-1"), "a-1 2");
-  EXPECT_EQ(kind_of("car/a_1/key"), "a_1 3");
-  for (const char* key :
-       {"", "car", "host", "host/game", "host/game/reactions", "car/a/delta/0", "car/a/", "health", "car/a/key/", "/"}) {
+  EXPECT_EQ(kind_of("car/a_1/key/0"), "a_1 3");
+  EXPECT_EQ(kind_of("car/a_1/key/1"), "a_1 3");
+  for (const char* key : {"", "car", "host", "host/game", "host/game/reactions", "car/a/delta/0", "car/a/", "health",
+                          "car/a/key", "car/a/key/", "car/a/key/2", "car/a/key//", "car/a/key/*", "car/a/key/00", "/"}) {
     EXPECT_EQ(kind_of(key), "bad_key") << key;
   }
-  for (const char* key : {"car/", "host//poses", "car/*", "car/a b", "car/\x01/key"}) EXPECT_EQ(kind_of(key), "bad_id") << key;
+  for (const char* key : {"car/", "host//poses", "car/*", "car/a b", "car/\x01/key/0"})
+    EXPECT_EQ(kind_of(key), "bad_id") << key;
 }
 
 TEST(Surface, RoundsHalfAwayFromZeroAndClamps) {

@@ -341,11 +341,14 @@ struct Frame {
   std::vector<int16_t> surface;  // the server's
 };
 
-// A heavy car is pressed by a slow wall, which then goes away: as its viewers see it, long enough for keyframes in between.
-const std::vector<Frame>& film() {
-  static const std::vector<Frame> frames = [] {
+constexpr size_t levels = surface_levels.size();
+
+// A heavy car is pressed by a slow wall, which then goes away: as its viewers on each surface level see it, long enough for
+// keyframes in between.
+const std::vector<Frame>& film(size_t level) {
+  static const auto films = [] {
     Scene scene;
-    std::vector<Frame> out;
+    std::array<std::vector<Frame>, levels> out;
     Thing press = wall(2.25f);
     press.velocity = {-0.4f, 0, 0};
     for (uint64_t k = 0; k < 90; ++k) {
@@ -355,64 +358,161 @@ const std::vector<Frame>& film() {
       if (k == 80) inbox = {{"host/game/obstacles", host::obstacles(2, {})}};
       inbox.push_back({"host/game/poses", host::poses(k + 1, {{"a"}})});  // scripted: it stands
       scene.step(inbox);
-      Frame frame{tick_count(*scene.world), {}, health(*scene.world, 0, {}), scene.car("a").told.latest};
-      for (const Message& message : scene.outbox) {
-        if (message.key.starts_with("car/a/")) frame.messages.push_back(message);
+      const Message report = health(*scene.world, 0, {});
+      for (size_t each = 0; each < levels; ++each) {
+        Frame frame{tick_count(*scene.world), {}, report, scene.car("a").told[each].latest};
+        for (const Message& message : scene.outbox) {
+          if (message.key.starts_with("car/a/") && message.key.ends_with("/" + std::to_string(each)))
+            frame.messages.push_back(message);
+        }
+        out[each].push_back(frame);
       }
-      out.push_back(frame);
     }
     return out;
   }();
-  return frames;
+  return films[level];
 }
 
-bool is_key(const Message& message) { return message.key == "car/a/key"; }
+bool is_key(const Message& message) { return message.key.starts_with("car/a/key/"); }
+
+host::Viewer viewer_of(size_t level) { return {{}, std::to_string(level)}; }
 
 TEST(Viewers, AnIdleCarSendsItsKeyframeAndThenNothing) {
   Scene scene;
   scene.spawn("a");
-  EXPECT_EQ(scene.sent("car/a/key").size(), 1u);
+  for (const char* level : {"0", "1"}) EXPECT_EQ(scene.sent(std::string("car/a/key/") + level).size(), 1u);
   for (int k = 0; k < 100; ++k) EXPECT_TRUE(scene.step().empty());
 }
 
 TEST(Viewers, ALateJoinerHoldsTheSurfaceAfterTheKeyframeAndAnyLaterDelta) {
-  size_t joined = 0, keyframes = 0;
-  Message keyframe;
-  for (const Frame& frame : film()) {
-    for (const Message& message : frame.messages) {
-      if (is_key(message)) {
-        keyframe = message;
-        ++keyframes;
-        continue;
+  for (size_t level = 0; level < levels; ++level) {
+    size_t joined = 0, keyframes = 0;
+    Message keyframe;
+    for (const Frame& frame : film(level)) {
+      for (const Message& message : frame.messages) {
+        if (is_key(message)) {
+          keyframe = message;
+          ++keyframes;
+          continue;
+        }
+        host::Viewer joiner = viewer_of(level);
+        joiner.take(keyframe);
+        joiner.take(message);
+        ASSERT_EQ(joiner.held(), frame.surface) << "tick " << frame.tick;
+        ASSERT_EQ(joiner.surface.tick, frame.tick);
+        ASSERT_EQ(joiner.surface.hash, hash(std::span<const int16_t>(frame.surface)));
+        ++joined;
       }
-      host::Viewer joiner;
-      joiner.take(keyframe);
-      joiner.take(message);
-      ASSERT_EQ(joiner.held(), frame.surface) << "tick " << frame.tick;
-      ASSERT_EQ(joiner.surface.tick, frame.tick);
-      ASSERT_EQ(joiner.surface.hash, hash(std::span<const int16_t>(frame.surface)));
-      ++joined;
     }
+    EXPECT_GT(joined, 60 / surface_levels[level].ticks);
+    EXPECT_EQ(keyframes, 3u) << "at spawn, after 60 ticks of deltas, and when the car has come to rest";
+    const std::vector<int16_t>& dent = film(level).back().surface;
+    EXPECT_LT(*std::min_element(dent.begin(), dent.end()), -800 / surface_levels[level].quanta)
+        << "0.4 m in quanta of 0.5 mm, or in as many more of the level's";
   }
-  EXPECT_GT(joined, 60u);
-  EXPECT_EQ(keyframes, 3u) << "at spawn, after 60 ticks of deltas, and when the car has come to rest";
-  const std::vector<int16_t>& dent = film().back().surface;
-  EXPECT_LT(*std::min_element(dent.begin(), dent.end()), -800) << "0.4 m in quanta of 0.5 mm";
 }
 
 TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
-  host::Viewer all, some;
-  int count = 0;
-  for (const Frame& frame : film()) {
-    for (const Message& message : frame.messages) {
-      all.take(message);
-      if (!is_key(message) && ++count % 3 == 0) continue;  // lost
-      some.take(message);
-      some.take(message);
-      ASSERT_EQ(some.held(), all.held()) << "tick " << frame.tick;
+  for (size_t level = 0; level < levels; ++level) {
+    host::Viewer all = viewer_of(level), some = all;
+    int count = 0;
+    for (const Frame& frame : film(level)) {
+      for (const Message& message : frame.messages) {
+        all.take(message);
+        if (!is_key(message) && ++count % 3 == 0) continue;  // lost
+        some.take(message);
+        some.take(message);
+        ASSERT_EQ(some.held(), all.held()) << "tick " << frame.tick;
+      }
+      ASSERT_EQ(all.held(), frame.surface) << "tick " << frame.tick;
     }
-    ASSERT_EQ(all.held(), frame.surface) << "tick " << frame.tick;
   }
+}
+
+// How far off the surface that a viewer holds is from the body, m: on one axis of one node of the skin.
+float farthest_off(const Instance& car, const client::Surface& held) {
+  float most = 0;
+  for (size_t i = 0; i < car.car->skin_node.size(); ++i) {
+    const uint32_t node = car.car->skin_node[i];
+    const Vec3 moved = car.body.node[node] - car.car->model.node[node];
+    for (int axis = 0; axis < 3; ++axis)
+      most = std::max(most, std::fabs(held.quantum * float(held.quanta[3 * i + size_t(axis)]) - moved[axis]));
+  }
+  return most;
+}
+
+TEST(Viewers, FarAreToldTenTimesASecondInFewerBits) {
+  std::array<size_t, levels> bytes{};
+  std::vector<uint64_t> ticks;
+  for (size_t level = 0; level < levels; ++level) {
+    for (const Frame& frame : film(level)) {
+      for (const Message& message : frame.messages) {
+        if (is_key(message)) continue;
+        bytes[level] += message.bytes.size();
+        if (level == 1) ticks.push_back(frame.tick);
+      }
+    }
+  }
+  ASSERT_GT(ticks.size(), 10u);
+  for (size_t i = 1; i < ticks.size(); ++i) EXPECT_EQ(ticks[i] % 6, ticks[0] % 6);
+  EXPECT_LT(8 * bytes[1], bytes[0]);
+}
+
+TEST(Viewers, OnAnyLevelHoldTheSurfaceWithinHalfAQuantumInTheTickInWhichItComesToRest) {
+  for (uint64_t turn = 0; turn < surface_levels[1].ticks; ++turn) {
+    Scene scene;
+    for (uint64_t k = 0; k < turn; ++k) scene.step();
+    std::array<host::Viewer, levels> viewers{viewer_of(0), viewer_of(1)};
+    size_t at_rest = 0;
+    crash(scene, 60, [&](const Outbox& outbox) {
+      for (host::Viewer& viewer : viewers)
+        for (const Message& message : outbox) viewer.take(message);
+      if (!scene.car("a").body.settled) return;
+      ++at_rest;
+      for (size_t level = 0; level < levels; ++level)
+        ASSERT_LE(farthest_off(scene.car("a"), viewers[level].surface), 0.501f * 0.0005f * float(surface_levels[level].quanta))
+            << "tick " << tick_count(*scene.world) << ", level " << level;
+    });
+    EXPECT_GT(at_rest, 10u);
+    EXPECT_LT(at_rest, 60u);
+    EXPECT_FLOAT_EQ(viewers[1].surface.quantum, 8 * viewers[0].surface.quantum);
+    for (const host::Viewer& viewer : viewers) EXPECT_EQ(viewer.key(), viewer.held()) << "the last message is a keyframe";
+  }
+}
+
+TEST(Viewers, OnAnyLevelAreToldAtOnceOfACarThatIsSpawnedIntoAWall) {
+  for (uint64_t turn = 0; turn < surface_levels[1].ticks; ++turn) {
+    Scene scene;
+    for (uint64_t k = 0; k < turn; ++k) scene.step();
+    scene.step({{"host/game/obstacles", host::obstacles(1, {wall(2)})}});
+    scene.step({{"car/a", host::spawn(box()->hash, "game")}, {"car/a/key/0", {}, 77}, {"car/a/key/1", {}, 78}});
+    ASSERT_FALSE(scene.car("a").body.settled);
+    for (const char* level : {"0", "1"}) EXPECT_EQ(scene.sent(std::string("car/a/key/") + level).size(), 1u);
+    EXPECT_EQ(std::count_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket != 0; }), 2);
+  }
+}
+
+TEST(Viewers, CarsThatCrashAtOnceTellTheFarOnesInTurns) {
+  Scene scene;
+  constexpr int many = 30;
+  std::vector<CarPose> cars;
+  for (int k = 0; k < many; ++k) {
+    const std::string id = "c" + std::to_string(k);
+    scene.spawn(id);
+    scene.step({{"car/" + id, quick()}});
+    cars.push_back({id, pose_at(0), {14, 0, 0}});
+  }
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall(2.35f)})}});
+  size_t told = 0, most = 0;
+  for (uint64_t k = 0; k < 12; ++k) {
+    scene.step({{"host/game/poses", host::poses(k + 1, cars)}});
+    size_t now = 0;
+    for (const Message& message : scene.outbox) now += message.key.ends_with("/delta/1");
+    told += now;
+    most = std::max(most, now);
+  }
+  EXPECT_GE(told, size_t(many)) << "each of them";
+  EXPECT_LE(most, size_t(many) / 6);
 }
 
 // A viewer behind a bad line: messages are lost, doubled and late by up to two seconds, so that they overtake each other;
@@ -420,6 +520,7 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
 // library does.
 struct Weather {
   std::mt19937 random;
+  size_t level;
   double loss;
   uint64_t latest;  // ticks
   std::multimap<uint64_t, const Message*> flying;
@@ -428,7 +529,7 @@ struct Weather {
   uint64_t heard = 0, asked = 0;
   bool unsure = true;
 
-  explicit Weather(unsigned seed) : random(seed), loss(0.009 * double(seed % 100)), latest(seed % 120) {}
+  Weather(unsigned seed, size_t level_) : random(seed), level(level_), loss(0.009 * double(seed % 100)), latest(seed % 120) {}
   bool lucky() { return std::uniform_real_distribution<double>()(random) >= loss; }
   uint64_t delay() { return random() % 4 == 0 ? random() % (latest + 1) : random() % 3; }
   void send(uint64_t now, const Message& message) {
@@ -444,15 +545,15 @@ struct Weather {
   }
   void take_health(uint64_t now, const Message& message) {
     for (const auto* told : *host::read_as<schema::Health>(message.bytes)->told()) {
-      const bool older = viewer.held().empty() || viewer.surface.tick < told->tick();
+      const bool older = viewer.held().empty() || viewer.surface.tick < told->ticks()->Get(uint32_t(level));
       if (told->car()->str() == "a" && older && now > heard + 6) ask(now);
     }
   }
   void take(uint64_t now, const Message& message) {
     if (message.key == "health") return take_health(now, message);
     const std::span bytes(reinterpret_cast<const uint8_t*>(message.bytes.data()), message.bytes.size());
-    const client::Outcome outcome = message.key.ends_with("/key") ? client::apply_keyframe(bytes, viewer.surface)
-                                                                  : client::apply_delta(bytes, viewer.surface);
+    const client::Outcome outcome =
+        is_key(message) ? client::apply_keyframe(bytes, viewer.surface) : client::apply_delta(bytes, viewer.surface);
     ASSERT_NE(outcome.applied, client::Applied::refused) << outcome.why;
     heard = now;
     unsure = true;
@@ -460,14 +561,14 @@ struct Weather {
   }
 };
 
-TEST(Viewers, InAnyWeatherHoldNothingThatTheServerNeverHadAndAreEqualAfterwards) {
+void weather_on(size_t level) {
   std::map<uint64_t, const Frame*> frames;
-  for (const Frame& frame : film()) frames[frame.tick] = &frame;
-  const uint64_t last = film().back().tick;
+  for (const Frame& frame : film(level)) frames[frame.tick] = &frame;
+  const uint64_t last = film(level).back().tick;
   size_t seen = 0;
   for (unsigned seed = 0; seed < 1000; ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
-    Weather weather(seed);
+    Weather weather(seed, level);
     const Message* keyframe = nullptr;
     uint64_t held = 0;
     const uint64_t joined = seed % 7 == 0 ? weather.random() % last : 0;
@@ -496,27 +597,46 @@ TEST(Viewers, InAnyWeatherHoldNothingThatTheServerNeverHadAndAreEqualAfterwards)
       seen += tick > held;
       held = tick;
     }
-    ASSERT_EQ(weather.viewer.held(), film().back().surface) << "held " << held << " of " << last;
+    ASSERT_EQ(weather.viewer.held(), film(level).back().surface) << "held " << held << " of " << last;
   }
-  EXPECT_GT(seen, 10'000u);
+  EXPECT_GT(seen, 10'000 / surface_levels[level].ticks);
+}
+
+TEST(Viewers, InAnyWeatherHoldNothingThatTheServerNeverHadAndAreEqualAfterwards) {
+  for (size_t level = 0; level < levels; ++level) {
+    SCOPED_TRACE("level " + std::to_string(level));
+    weather_on(level);
+  }
 }
 
 TEST(Viewers, AKeyframeIsAnsweredWholeAndFitsTheDeltasThatFollow) {
   Scene scene;
   crash(scene, 1);
-  scene.step({{"car/a/key", {}, 77}});
-  host::Viewer viewer;
-  for (const Message& message : scene.outbox) {
-    if (message.ticket != 77) continue;
-    EXPECT_FALSE(message.failed);
-    viewer.take_keyframe(message.bytes);
+  for (size_t level = 0; level < levels; ++level) {
+    const std::string is = std::to_string(level);
+    scene.step({{"car/a/key/" + is, {}, 77 + level}});
+    host::Viewer viewer = viewer_of(level);
+    for (const Message& message : scene.outbox) {
+      if (message.ticket != 77 + level) continue;
+      EXPECT_FALSE(message.failed);
+      viewer.take_keyframe(message.bytes);
+    }
+    ASSERT_EQ(viewer.key().size(), 3 * box()->skin_node.size());
+    for (uint64_t k = 1; k < surface_levels[level].ticks && scene.sent("car/a/delta/" + is).empty(); ++k) scene.step();
+    ASSERT_EQ(scene.sent("car/a/delta/" + is).size(), 1u);
+    viewer.take(*scene.sent("car/a/delta/" + is)[0]);
+    EXPECT_EQ(viewer.held(), scene.car("a").told[level].latest);
   }
-  ASSERT_EQ(viewer.key().size(), 3 * box()->skin_node.size());
-  ASSERT_EQ(scene.sent("car/a/delta/0").size(), 1u);
-  viewer.take(*scene.sent("car/a/delta/0")[0]);
-  EXPECT_EQ(viewer.held(), scene.car("a").told.latest);
-  scene.step({{"car/b/key", {}, 78}});
-  const auto answer = std::find_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket == 78; });
+  for (int k = 0; k < 600 && !scene.car("a").body.settled; ++k) scene.step();
+  for (size_t level = 0; level < levels; ++level) {
+    scene.step({{"car/a/key/" + std::to_string(level), {}, 66}});
+    host::Viewer viewer = viewer_of(level);
+    for (const Message& message : scene.outbox)
+      if (message.ticket == 66) viewer.take_keyframe(message.bytes);
+    EXPECT_EQ(viewer.held(), scene.car("a").told[level].latest);
+  }
+  scene.step({{"car/b/key/0", {}, 99}});
+  const auto answer = std::find_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& m) { return m.ticket == 99; });
   ASSERT_NE(answer, scene.outbox.end());
   EXPECT_TRUE(answer->failed);
   EXPECT_EQ(host::read_as<schema::Answer>(answer->bytes)->sentence()->str(), "car b does not live here; it has no keyframe");
@@ -534,8 +654,8 @@ TEST(State, SavedAtRestAndLoadedItIsTheSameBodyBitForBit) {
   Scene other;
   other.spawn("b");
   ASSERT_EQ(other.ask("b", host::load(saved)), "");
-  EXPECT_EQ(other.sent("car/b/key").size(), 1u) << "viewers are told at once";
-  EXPECT_EQ(other.car("b").told.latest, scene.car("a").told.latest);
+  EXPECT_EQ(other.sent("car/b/key/0").size(), 1u) << "viewers are told at once";
+  EXPECT_EQ(other.car("b").told[0].latest, scene.car("a").told[0].latest);
   const Body& crashed = scene.car("a").body;
   Body body = make_body(box()->model);  // all but the memory of the last sub-step, which Save leaves out
   body.node = crashed.node;
@@ -634,10 +754,10 @@ TEST(State, RepairGivesBackTheUndamagedSurface) {
   crash(scene, 60);
   scene.step({{"host/game/obstacles", host::obstacles(2, {})}});
   ASSERT_EQ(scene.ask("a", host::repair(1)), "");
-  const auto& surface = scene.car("a").told.latest;
+  const auto& surface = scene.car("a").told[0].latest;
   EXPECT_EQ(std::count(surface.begin(), surface.end(), 0), ptrdiff_t(surface.size()));
   EXPECT_EQ(scene.car("a").body.node, make_body(box()->model).node);
-  EXPECT_EQ(scene.sent("car/a/key").size(), 1u);
+  for (const char* level : {"0", "1"}) EXPECT_EQ(scene.sent(std::string("car/a/key/") + level).size(), 1u);
 }
 
 TEST(State, OfAnotherCarIsRefusedAndLeavesTheCarAsItWas) {
@@ -682,18 +802,23 @@ TEST(Health, ShowsRefusalsByReasonCountsAgainstLimitsAndTimesByRoom) {
 
 TEST(Health, NamesTheCarsThatViewersWereToldOfForTenSeconds) {
   Scene scene;
-  crash(scene, 10);
+  crash(scene, 1);
   const auto told = [&] {
-    std::map<std::string, uint64_t> out;
+    std::map<std::string, std::vector<uint64_t>> out;
     const Message message = health(*scene.world, 0, {});
-    for (const auto* car : *host::read_as<schema::Health>(message.bytes)->told()) out[car->car()->str()] = car->tick();
+    for (const auto* car : *host::read_as<schema::Health>(message.bytes)->told())
+      out[car->car()->str()].assign(car->ticks()->begin(), car->ticks()->end());
     return out;
   };
-  uint64_t last = told()["a"];
-  EXPECT_GT(last, 0u);
-  while (tick_count(*scene.world) < last + 600) {
+  std::vector<uint64_t> last = told()["a"];
+  ASSERT_EQ(last.size(), levels);
+  EXPECT_EQ(last[0], tick_count(*scene.world));
+  EXPECT_LT(last[1], last[0]) << "not its turn";
+  while (tick_count(*scene.world) < std::max(last[0], last[1]) + 600) {
     scene.step();
-    if (!scene.sent("car/a/key").empty() || !scene.sent("car/a/delta/0").empty()) last = tick_count(*scene.world);
+    for (size_t level = 0; level < levels; ++level)
+      for (const char* kind : {"car/a/key/", "car/a/delta/"})
+        if (!scene.sent(kind + std::to_string(level)).empty()) last[level] = tick_count(*scene.world);
     ASSERT_EQ(told()["a"], last);
   }
   EXPECT_EQ(told().size(), 1u);

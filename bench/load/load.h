@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -20,9 +21,9 @@ struct Options {
   uint32_t hosts = 1;   // share the cars
   uint32_t asleep = 0, driving = 0, crashing = 1;
   double speed_kmh = 50;
-  double period = 3;      // s from crash to crash; all crashing cars hit at the same time
-  double importance = 1;  // of crashing cars, which chooses their level
-  uint32_t viewers = 4, follow = 5;
+  double period = 3;                          // s from crash to crash; all crashing cars hit at the same time
+  double importance = 1;                      // of crashing cars, which chooses their level
+  uint32_t viewers = 4, follow = 5, far = 0;  // far: viewers, the last of them, that follow all cars on surface level 1
   uint32_t frozen = 0, killed = 0, late = 0;  // viewers
 };
 
@@ -37,7 +38,8 @@ struct HostTask {
 // Spawns its cars, tells `ready`, waits for `go`, drives until `stop`. Throws std::runtime_error.
 void play_host(const HostTask&, std::atomic<uint32_t>& ready, const std::atomic<bool>& go, const std::atomic<bool>& stop);
 
-// A viewer process: follows the cars until SIGTERM, then writes what it saw as lines of CSV:
+// A viewer process: follows the cars (on surface level 1 with them all others) until SIGTERM, then writes what it saw as lines
+// of CSV:
 //   open,NS,MS            when it began, and how long until it held every car
 //   bytes,NS,BYTES        once a second: bytes received so far
 //   held,NS,CAR,TICK      whenever the surface of a car became newer
@@ -45,6 +47,7 @@ void play_host(const HostTask&, std::atomic<uint32_t>& ready, const std::atomic<
 //   counts,ASKED,OLDER,REFUSED
 struct ViewerTask {
   std::string endpoint, file;
+  int level = 0;  // of the surfaces
   std::vector<std::string> cars;
 };
 int view(const ViewerTask&);
@@ -59,7 +62,7 @@ struct Sample {  // of the server's process, once a second
 struct ViewerRun {
   std::string file;
   std::vector<std::string> cars;
-  std::string part;        // "steady", "frozen", "late"
+  std::string part;        // "steady", "frozen", "late", "far"
   uint64_t thawed_ns = 0;  // frozen: when it went on
 };
 struct Run {
@@ -67,7 +70,7 @@ struct Run {
   std::string recording;
   std::vector<Sample> samples;
   std::vector<ViewerRun> viewers;
-  std::vector<std::pair<std::string, std::string>> truth;  // car, hash: what a fresh viewer gets after the calm
+  std::map<std::string, std::string> truth[2];  // by surface level and car: hash of what a fresh viewer gets after the calm
 };
 // Writes load.json; prints the summary. Returns 1 if some viewer ended with another surface than the server's.
 int report(const Options&, const Run&);

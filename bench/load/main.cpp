@@ -177,8 +177,10 @@ void start_viewer(Stage& stage, const std::string& part, uint32_t number) {
   ViewerRun viewer;
   viewer.part = part;
   viewer.file = options.folder + "/viewer" + std::to_string(stage.viewers.size()) + ".csv";
-  std::vector<std::string> words = {"/proc/self/exe", "--view", viewer.file, "--connect", stage.endpoint, "--follow"};
-  for (uint32_t k = 0; k < std::min(options.follow, options.crashing); ++k)
+  const bool is_far = part == "far";
+  std::vector<std::string> words = {"/proc/self/exe", "--view",  viewer.file,        "--connect",
+                                    stage.endpoint,   "--level", is_far ? "1" : "0", "--follow"};
+  for (uint32_t k = 0; k < (is_far ? options.crashing : std::min(options.follow, options.crashing)); ++k)
     viewer.cars.push_back(car_id('c', (number * options.follow + k) % options.crashing));
   words.insert(words.end(), viewer.cars.begin(), viewer.cars.end());
   stage.viewers.emplace_back().start(words, viewer.file + ".log");
@@ -214,14 +216,14 @@ struct Session {
 };
 
 // What a viewer gets that comes when all is calm.
-void ask_for_truth(Stage& stage) {
+void ask_for_truth(Stage& stage, int level) {
   Session session;
   const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr, nullptr};
   if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
   std::vector<std::string> cars;
   for (uint32_t k = 0; k < stage.options.crashing; ++k) {
     cars.push_back(car_id('c', k));
-    crumple_follow(session.handle, cars.back().c_str());
+    crumple_follow(session.handle, cars.back().c_str(), level);
   }
   const auto until = Clock::now() + std::chrono::seconds(20);
   for (const std::string& car : cars) {
@@ -232,7 +234,7 @@ void ask_for_truth(Stage& stage) {
     if (status != CRUMPLE_OK) throw std::runtime_error("load: no surface of car " + car + " came within 20 s");
     char digits[17];
     std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(surface.hash));
-    stage.run.truth.emplace_back(car, digits);
+    stage.run.truth[level][car] = digits;
   }
 }
 
@@ -288,13 +290,14 @@ int play(const Options& options) {
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   check(stage);
   if (stage.ready < options.hosts) throw std::runtime_error("load: the cars were not spawned within 120 s");
-  for (uint32_t k = 0; k < options.viewers; ++k) start_viewer(stage, k < options.frozen ? "frozen" : "steady", k);
+  for (uint32_t k = 0; k < options.viewers; ++k)
+    start_viewer(stage, k < options.frozen ? "frozen" : k < options.viewers - options.far ? "steady" : "far", k);
   sleep_until(Clock::now() + std::chrono::seconds(2));
   watch_over(stage);
   stage.end_hosts();
   check(stage);
   sleep_until(Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(calm)));
-  ask_for_truth(stage);
+  for (int level : {0, 1}) ask_for_truth(stage, level);
   for (size_t k = 0; k < stage.viewers.size(); ++k)
     if (stage.viewers[k].id > 0 && stage.viewers[k].end(SIGTERM) != 0)
       throw std::runtime_error("load: a viewer failed: " + text_of(stage.run.viewers[k].file + ".log"));
@@ -336,6 +339,7 @@ int run(int argc, char** argv) {
   app.add_option("--follow", options.follow, "cars that each viewer follows")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
+  app.add_option("--far", options.far, "of the viewers, that follow all cars as who is far from them")->capture_default_str();
   app.add_option("--frozen", options.frozen, "viewers that are stopped for 3 s at a quarter of the time")
       ->capture_default_str();
   app.add_option("--killed", options.killed, "viewers that are killed half-way; others come for them")->capture_default_str();
@@ -343,8 +347,8 @@ int run(int argc, char** argv) {
   try {
     app.parse(argc, argv);
     if (options.cars.empty()) throw CLI::RequiredError("--car");
-    if (options.frozen + options.killed > options.viewers)
-      throw CLI::ValidationError("--frozen and --killed", "name more viewers than there are");
+    if (options.frozen + options.killed + options.far > options.viewers)
+      throw CLI::ValidationError("--frozen, --killed and --far", "name more viewers than there are");
   } catch (const CLI::Success& asked) {
     return app.exit(asked);
   } catch (const CLI::ParseError& error) {
@@ -359,11 +363,12 @@ int run(int argc, char** argv) {
 }  // namespace
 }  // namespace crumple::load
 
-// A viewer process is this program, called by itself: --view FILE --connect ENDPOINT --follow CAR...
+// A viewer process is this program, called by itself: --view FILE --connect ENDPOINT --level LEVEL --follow CAR...
 int main(int argc, char** argv) {
   using namespace crumple::load;
   try {
-    if (argc > 6 && std::string_view(argv[1]) == "--view") return view({argv[4], argv[2], {argv + 6, argv + argc}});
+    if (argc > 8 && std::string_view(argv[1]) == "--view")
+      return view({argv[4], argv[2], argv[6] == std::string_view("1"), {argv + 8, argv + argc}});
     return run(argc, argv);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "crumple_load: %s\n", error.what());

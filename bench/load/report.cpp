@@ -68,8 +68,8 @@ struct Health {
 
 struct Served {
   std::map<uint64_t, uint64_t> tick_ns;               // tick -> when it was done
-  std::map<std::string, std::vector<uint64_t>> told;  // car -> ticks in which its surface was sent
-  uint64_t frames = 0, bytes = 0;                     // of surfaces, during the load
+  std::map<std::string, std::vector<uint64_t>> told;  // car -> ticks in which its surface was sent, near
+  uint64_t frames[2] = {}, bytes[2] = {};             // of surfaces by their level, during the load
   std::vector<Health> health;                         // during the load
   size_t vertices = 0;
   uint64_t late_before = 0;
@@ -80,16 +80,18 @@ Served read_recording(const Run& run) {
   RecordingReader reader(run.recording);
   out.vertices = reader.head().cars.front()->model.vertex.size();
   RecordingReader::Item item;
+  std::map<std::string, std::vector<uint64_t>> told[2];
   while (reader.next(item)) {
     const bool during = item.time_ns >= run.begin_ns && item.time_ns < run.end_ns;
     if (item.channel == Channel::tick_end) out.tick_ns[item.tick] = item.time_ns;
     if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
       const std::string car(item.key.substr(4, item.key.find('/', 4) - 4));
-      auto& ticks = out.told[car];
+      const size_t level = level_of(item.key);
+      auto& ticks = told[level][car];
       const bool frame = ticks.empty() || ticks.back() != item.tick;
       if (during && car.front() == 'c') {
-        out.frames += frame;
-        out.bytes += item.bytes.size();
+        out.frames[level] += frame;
+        out.bytes[level] += item.bytes.size();
       }
       if (frame) ticks.push_back(item.tick);
     }
@@ -108,6 +110,7 @@ Served read_recording(const Run& run) {
     health.refusals = 0;
     for (const auto* count : *message->refusals()) health.refusals += count->value();
   }
+  out.told = std::move(told[0]);
   if (out.health.empty()) throw std::runtime_error(run.recording + ": has no health: the server was too busy to say how it is");
   return out;
 }
@@ -192,35 +195,37 @@ double slope(const std::vector<Sample>& samples) {
 struct Viewers {
   std::vector<double> latency;  // of steady ones, ms, sorted
   uint64_t missing = 0, diverged = 0, compared = 0;
-  double mean_mbits = 0, worst_mbits = 0;  // of the busiest steady viewer: over the load, in its busiest second
-  double open_ms = 0, late_ms = 0;         // worst
+  double mean_mbits[2] = {}, worst_mbits[2] = {};  // by surface level, of the busiest steady viewer: over the load, in a second
+  double open_ms = 0, late_ms = 0;                 // worst
   double stale_ms = 0, thaw_ms = 0;  // of frozen ones, worst: the age of what was shown, and the time until it was current
 };
 
 Viewers put_together(const Run& run, const Served& served) {
   Viewers out;
-  std::map<std::string, std::string> truth(run.truth.begin(), run.truth.end());
   for (const ViewerRun& viewer : run.viewers) {
     if (!std::ifstream(viewer.file)) continue;  // killed
     const Seen seen = read_viewer(viewer.file);
+    const bool is_far = viewer.part == "far";
     for (const std::string& car : viewer.cars) {
       ++out.compared;
       const auto end = seen.end.find(car);
-      out.diverged += end == seen.end.end() || end->second != truth[car];
+      out.diverged += end == seen.end.end() || end->second != run.truth[is_far].at(car);
     }
     if (viewer.part == "late") out.late_ms = std::max(out.late_ms, seen.open_ms < 0 ? 1e9 : seen.open_ms);
     if (viewer.part == "steady") {
       latencies(seen, viewer, served, run.begin_ns, run.end_ns, out.latency, out.missing);
       out.open_ms = std::max(out.open_ms, seen.open_ms);
+    }
+    if (viewer.part == "steady" || is_far) {
       const std::pair<uint64_t, uint64_t>* first = nullptr;
       for (size_t i = 1; i < seen.bytes.size(); ++i) {
         const auto& [ns, bytes] = seen.bytes[i];
         if (ns < run.begin_ns || ns > run.end_ns) continue;
         if (!first) first = &seen.bytes[i - 1];
         const auto mbits = [&](const auto& since) { return 8e3 * double(bytes - since.second) / double(ns - since.first); };
-        out.worst_mbits = std::max(out.worst_mbits, mbits(seen.bytes[i - 1]));
+        out.worst_mbits[is_far] = std::max(out.worst_mbits[is_far], mbits(seen.bytes[i - 1]));
         if (i + 1 == seen.bytes.size() || seen.bytes[i + 1].first > run.end_ns)
-          out.mean_mbits = std::max(out.mean_mbits, mbits(*first));
+          out.mean_mbits[is_far] = std::max(out.mean_mbits[is_far], mbits(*first));
       }
     }
     if (viewer.thawed_ns > 0) {
@@ -281,10 +286,14 @@ int report(const Options& options, const Run& run) {
   }
   json.number("surfaces", double(viewers.latency.size()));
   json.number("surfaces_missing", double(viewers.missing));
-  json.number("bits_per_vertex_frame",
-              served.frames > 0 ? 8 * double(served.bytes) / (double(served.frames) * double(served.vertices)) : 0);
-  json.number("viewer_mbits_mean", viewers.mean_mbits);
-  json.number("viewer_mbits_worst", viewers.worst_mbits);
+  for (size_t level : {0, 1}) {
+    const std::string far_one = level == 1 ? "far_" : "";
+    const double bits =
+        8 * double(served.bytes[level]) / (double(std::max<uint64_t>(1, served.frames[level])) * double(served.vertices));
+    json.number(far_one + "bits_per_vertex_frame", bits);
+    json.number(far_one + "viewer_mbits_mean", viewers.mean_mbits[level]);
+    json.number(far_one + "viewer_mbits_worst", viewers.worst_mbits[level]);
+  }
   json.number("open_ms_worst", viewers.open_ms);
   json.number("late_join_ms_worst", viewers.late_ms);
   json.number("thawed_stale_ms_worst", viewers.stale_ms);
@@ -328,7 +337,10 @@ int report(const Options& options, const Run& run) {
               static_cast<unsigned long long>(viewers.missing), quantile(viewers.latency, 0.5), quantile(viewers.latency, 0.99),
               quantile(viewers.latency, 0.999));
   std::printf("viewer: %.2f Mb/s, %.2f in its busiest second; first surfaces after %.0f ms, of late ones %.0f ms\n",
-              viewers.mean_mbits, viewers.worst_mbits, viewers.open_ms, viewers.late_ms);
+              viewers.mean_mbits[0], viewers.worst_mbits[0], viewers.open_ms, viewers.late_ms);
+  if (options.far > 0)
+    std::printf("far viewer of all %u cars: %.2f Mb/s, %.2f in its busiest second\n", options.crashing, viewers.mean_mbits[1],
+                viewers.worst_mbits[1]);
   if (viewers.thaw_ms > 0)
     std::printf("frozen for 3 s: current again after %.0f ms; the oldest surface shown was superseded %.0f ms before\n",
                 viewers.thaw_ms, viewers.stale_ms);

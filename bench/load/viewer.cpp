@@ -36,8 +36,9 @@ int view(const ViewerTask& task) {
   Crumple* session = nullptr;
   const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, nullptr, nullptr};
   if (crumple_open(&open, &session) < 0) throw std::runtime_error(crumple_error());
+  if (task.level == 1 && crumple_follow(session, nullptr, 1) < 0) throw std::runtime_error(crumple_error());
   for (const std::string& car : task.cars)
-    if (crumple_follow(session, car.c_str()) < 0) throw std::runtime_error(crumple_error());
+    if (crumple_follow(session, car.c_str(), task.level) < 0) throw std::runtime_error(crumple_error());
 
   std::vector<Seen> seen;
   std::vector<std::pair<uint64_t, uint64_t>> bytes;

@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 // Of all structs below; crumple_open refuses another.
-#define CRUMPLE_CLIENT_VERSION 3u
+#define CRUMPLE_CLIENT_VERSION 4u
 
 enum CrumpleStatus {
   CRUMPLE_OK = 0,
@@ -149,8 +149,11 @@ size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
 // ---- viewer
 // ------------------------------------------------------------------------------------------------------------------
 
-// From now on this car's surface is held; NULL: every car's, those present and those to come.
-int crumple_follow(Crumple*, const char* car);
+// From now on this car's surface is held; NULL: every car's, those present and those to come. level 0: told every tick, in the
+// scene's quantum; 1: for who is far, told ten times a second, in eight times that. To be called again with the other one as
+// often as that changes: what is held stays until the first keyframe of the new level, which in a crash may be up to a second
+// older.
+int crumple_follow(Crumple*, const char* car, int level);
 // Ids of the cars that this session holds or follows. Returns how many there are.
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
 
@@ -158,7 +161,7 @@ typedef struct CrumpleSurface {
   uint64_t tick;          // the newest one held whole
   uint64_t hash;          // XXH64 of the quantised displacements, as the server states it
   uint32_t node_count;    // of the skin: those that a vertex moves with
-  float quantum;          // m
+  float quantum;          // m; of the level that is held
   const char* asset;      // hash of the baked car
   const int16_t* quanta;  // 3 a node: displacement from rest in quanta, car's frame
   int dirty;              // changed since the last crumple_copy of this car

@@ -200,7 +200,7 @@ Vector3d begin(Run& run) {
     const CrumpleParameters to = parameters_of(*parameters);
     order(run, crumple_set_parameters(session, id, &to, &ticket), ticket, "take the scene's parameters");
   }
-  need(crumple_follow(session, id));
+  need(crumple_follow(session, id, 0));
   say("%s\n  car %s, %.0f kg: %s\n", run.scene.about.c_str(), mesh.name, run.mass, mesh.attribution);
   return vector_of(mesh.center_of_mass);
 }

@@ -40,13 +40,19 @@ CrumplePose pose_of(const schema::Pose& pose) {
 
 void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car) {
   if (car.asking) return;
-  const std::string key = session.root + "car/" + id + "/key";
+  const std::string key = session.root + "car/" + id + "/key/" + std::to_string(car.level);
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
   if (net_get(session.net, key.c_str(), nullptr, 0, timeout, &car.asking) != 0) return;
   session.key_tickets[car.asking] = id;
   car.asked = Clock::now();
   car.unsure = false;
   ++session.statistics.asked;
+}
+
+// What was asked before tells nothing about now, if it is answered at all.
+void forget_question(Crumple& session, FollowedCar& car) {
+  session.key_tickets.erase(car.asking);
+  car.asking = 0;
 }
 
 void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
@@ -63,8 +69,9 @@ void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
 FollowedCar* followed(Crumple& session, std::string_view id) {
   auto at = session.cars.find(id);
   if (at == session.cars.end()) {
-    if (!session.follows_all || !is_id(std::string(id).c_str())) return nullptr;
+    if (session.level == none || !is_id(std::string(id).c_str())) return nullptr;
     at = session.cars.try_emplace(std::string(id)).first;
+    at->second.level = session.level;
   }
   return &at->second;
 }
@@ -73,24 +80,15 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
                   std::span<const uint8_t> bytes) {
   ++session.statistics.surface;
   session.statistics.surface_bytes += bytes.size();
-  if (car.fresh && keyframe) {
-    // The ticks of an earlier car of this id, or of an earlier server, say nothing about those of this one.
-    Surface empty;
-    const Outcome outcome = apply_keyframe(bytes, empty);
-    if (outcome.applied == Applied::whole || outcome.applied == Applied::part) {
-      car.surface = std::move(empty);
-      car.fresh = false;
-      car.dirty |= outcome.applied == Applied::whole;
-    } else {
-      ++session.statistics.refused;
-    }
-    return;
-  }
-  if (asked_for) car.surface.key_parts = {};
-  const Outcome outcome = keyframe ? apply_keyframe(bytes, car.surface) : apply_delta(bytes, car.surface);
+  // The ticks of an earlier car of this id, of an earlier server or of another level say nothing about those of this one.
+  Surface& surface = car.fresh && keyframe ? car.coming : car.surface;
+  if (asked_for) surface.key_parts = {};
+  const Outcome outcome = keyframe ? apply_keyframe(bytes, surface) : apply_delta(bytes, surface);
   car.unsure = !asked_for;
   switch (outcome.applied) {
     case Applied::whole:
+      if (&surface == &car.coming) car.surface = std::exchange(car.coming, {});
+      car.fresh &= !keyframe;
       car.dirty = true;
       break;
     case Applied::part:
@@ -141,9 +139,9 @@ void ask_for_the_lost(Crumple& session, const schema::Health& message) {
   if (!message.told()) return;
   for (const auto* told : *message.told()) {
     const auto at = session.cars.find(told->car()->str());
-    if (at == session.cars.end()) continue;
+    if (at == session.cars.end() || told->ticks()->size() <= static_cast<uint32_t>(at->second.level)) continue;
     FollowedCar& car = at->second;
-    const bool older = car.surface.quanta.empty() || car.surface.tick < told->tick();
+    const bool older = car.surface.quanta.empty() || car.surface.tick < told->ticks()->Get(static_cast<uint32_t>(car.level));
     if (older && Clock::now() - car.last > on_its_way) ask_for_keyframe(session, at->first, car);
   }
 }
@@ -252,7 +250,7 @@ void take_asset(Crumple& session, const std::string& hash, Asset& asset, std::sp
   asset.whole = asset.trouble.empty();
 }
 
-// "car/{id}/key" -> id; nothing if the key has another form.
+// "car/{id}/key/0" -> id; nothing if the key has another form.
 std::string_view car_of(std::string_view key) {
   if (!key.starts_with("car/")) return {};
   key.remove_prefix(4);
@@ -262,10 +260,11 @@ std::string_view car_of(std::string_view key) {
 void take_sample(Crumple& session, std::string_view key, std::span<const uint8_t> bytes) {
   if (key == "health") return take_health(session, bytes);
   if (key.ends_with("/reactions")) return take_reactions(session, bytes);
-  FollowedCar* car = followed(session, car_of(key));
-  if (!car) return;
+  const std::string_view id = car_of(key);
+  FollowedCar* car = followed(session, id);
+  if (!car || !key.ends_with("/" + std::to_string(car->level))) return;  // of a level that was left, or of all the others
   car->last = Clock::now();
-  take_surface(session, std::string(car_of(key)), *car, key.ends_with("/key"), false, bytes);
+  take_surface(session, std::string(id), *car, key.substr(4 + id.size()).starts_with("/key/"), false, bytes);
 }
 
 void take_reply(Crumple& session, uint64_t ticket, std::span<const uint8_t> bytes, bool failed) {
@@ -307,6 +306,7 @@ void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   car->alive = alive;
   car->doubtful = false;  // a new one is asked for its keyframe anyway
   car->fresh = true;
+  car->coming = {};
   if (alive) ask_for_keyframe(session, std::string(id), *car);
 }
 
@@ -332,8 +332,8 @@ void take(Crumple& session, const NetEvent& event) {
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
   for (auto& [id, car] : session.cars) {
-    const bool doubtful = car.doubtful && car.alive && now - car.asked > silence;
-    if (doubtful || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
+    const bool waits = (car.doubtful || car.fresh) && car.alive && now - car.asked > silence;
+    if (waits || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
   }
 }
 
@@ -343,12 +343,36 @@ void doubt_after_a_pause(Crumple& session) {
   if (now - std::exchange(session.polled, now) < unpolled) return;
   for (auto& [id, car] : session.cars) {
     if (!car.alive || car.surface.quanta.empty()) continue;
-    session.key_tickets.erase(car.asking);  // asked before the pause
-    car.asking = 0;
+    forget_question(session, car);
     car.asked = {};
     car.doubtful = true;
   }
   ask_the_silent(session);
+}
+
+// Brings the subscriptions for a car, or for "*", to the level, or to none.
+int subscribe(Crumple& session, const std::string& cars, int level) {
+  int& now = session.subscribed.try_emplace(cars, none).first->second;
+  if (now == level) return CRUMPLE_OK;
+  for (const char* what : {"/key/", "/delta/"}) {
+    const std::string key = session.root + "car/" + cars + what;
+    if (level != none && net_subscribe(session.net, (key + std::to_string(level)).c_str(), 4096) != 0)
+      return fail(CRUMPLE_CLOSED, transport_error());
+    if (now != none && net_unsubscribe(session.net, (key + std::to_string(now)).c_str()) != 0)
+      return fail(CRUMPLE_CLOSED, transport_error());
+  }
+  now = level;
+  return CRUMPLE_OK;
+}
+
+void change_level(Crumple& session, const std::string& id, FollowedCar& car, int level) {
+  if (car.level == level) return;
+  car.level = level;
+  car.surface.key.clear();  // no delta of this level is against it
+  car.fresh = true;
+  car.coming = {};
+  forget_question(session, car);
+  if (car.alive) ask_for_keyframe(session, id, car);
 }
 
 bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
@@ -448,14 +472,24 @@ int crumple_poll(Crumple* session, uint64_t timeout_us) {
 
 void crumple_statistics(const Crumple* session, CrumpleStatistics* out) { *out = session->statistics; }
 
-int crumple_follow(Crumple* session, const char* car) {
-  if (car && !is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
-  if (!car) session->follows_all = true;
-  const std::string base = session->root + "car/" + (car ? car : "*");
-  for (const char* what : {"/key", "/delta/0"})
-    if (net_subscribe(session->net, (base + what).c_str(), 4096) != 0) return fail(CRUMPLE_CLOSED, transport_error());
-  if (net_watch(session->net, base.c_str()) != 0) return fail(CRUMPLE_CLOSED, transport_error());
-  if (car) session->cars.try_emplace(car);
+int crumple_follow(Crumple* session, const char* id, int level) {
+  if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  if (level != 0 && level != 1) return fail(CRUMPLE_BAD_ARGUMENT, "level is neither 0 (near) nor 1 (far)");
+  const bool watched = session->level != none || (id && session->cars.count(id) > 0);
+  if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
+    return fail(CRUMPLE_CLOSED, transport_error());
+  if (id) {
+    // What comes for all need not come for this one once more.
+    if (const int status = subscribe(*session, id, session->level == level ? none : level); status != CRUMPLE_OK) return status;
+    change_level(*session, id, session->cars.try_emplace(id).first->second, level);
+    return CRUMPLE_OK;
+  }
+  if (const int status = subscribe(*session, "*", level); status != CRUMPLE_OK) return status;
+  session->level = level;
+  for (auto& [each, car] : session->cars) {
+    if (const int status = subscribe(*session, each, none); status != CRUMPLE_OK) return status;
+    change_level(*session, each, car, level);
+  }
   return CRUMPLE_OK;
 }
 

@@ -24,6 +24,7 @@ inline constexpr std::chrono::milliseconds silence{500};
 inline constexpr std::chrono::milliseconds unpolled{500};
 // What health says of a car that spoke so lately may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
+inline constexpr int none = -1;  // of the surface levels
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr size_t answers_kept = 256;
 // An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8
@@ -33,11 +34,13 @@ inline constexpr size_t asset_limit = size_t{256} << 20;
 
 struct FollowedCar {
   Surface surface;
+  Surface coming;  // while `fresh`: what has arrived of what takes its place
+  int level = 0;
   bool alive = false;
   bool dirty = false;
   bool unsure = false;        // a message came since the last keyframe that was asked for
   bool doubtful = false;      // the session was not polled for long: what is held counts only after an answer to `asking`
-  bool fresh = true;          // the car (or its server) is a new one: the next keyframe counts whatever its tick
+  bool fresh = true;          // the car, its server or its level is a new one: the next keyframe counts whatever its tick
   Clock::time_point asked{};  // last, for its keyframe
   uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
   Clock::time_point last{};   // of its last message
@@ -81,7 +84,8 @@ struct Crumple {
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
   crumple::client::Clock::time_point polled = crumple::client::Clock::now();
-  bool follows_all = false;
+  int level = crumple::client::none;                   // of the cars that come, where all are followed
+  std::map<std::string, int, std::less<>> subscribed;  // level, by id of a car or "*"
   uint64_t sequence = 0;
   std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;
   std::map<std::string, crumple::client::Asset, std::less<>> assets;

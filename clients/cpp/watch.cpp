@@ -45,9 +45,10 @@ void print(Crumple* session, double bytes_per_second) {
       const int16_t* d = surface.quanta + 3 * i;
       displaced += d[0] || d[1] || d[2];
     }
-    std::printf("car %s  tick %llu  nodes %u  displaced %u  hash %016llx  %.0f bytes/s%s\n", id.c_str(),
+    std::printf("car %s  tick %llu  nodes %u  displaced %u  quantum %g mm  hash %016llx  %.0f bytes/s%s\n", id.c_str(),
                 static_cast<unsigned long long>(surface.tick), surface.node_count, displaced,
-                static_cast<unsigned long long>(surface.hash), bytes_per_second, surface.alive ? "" : "  (gone)");
+                1e3 * static_cast<double>(surface.quantum), static_cast<unsigned long long>(surface.hash), bytes_per_second,
+                surface.alive ? "" : "  (gone)");
   }
   std::fflush(stdout);
 }
@@ -83,7 +84,7 @@ int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
   const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000,    options.connect.c_str(),
                             options.scene.c_str(),  nullptr, options.network.c_str()};
   need(crumple_open(&open, &session.handle));
-  need(crumple_follow(session.handle, options.car.empty() ? nullptr : options.car.c_str()));
+  need(crumple_follow(session.handle, options.car.empty() ? nullptr : options.car.c_str(), options.level));
 
   const double limit = options.seconds > 0 ? options.seconds : options.once ? 10 : 1e9;
   const auto start = Clock::now(),

@@ -1,5 +1,5 @@
-// `crumple watch`: a viewer that prints what it holds, once a second: tick, vertices, how many are displaced, the hash that
-// must be the server's, bytes a second.
+// `crumple watch`: a viewer that prints what it holds, once a second: tick, nodes, how many are displaced, the quantum, the
+// hash that must be the server's, bytes a second.
 #pragma once
 
 #include <atomic>
@@ -12,6 +12,7 @@ struct WatchOptions {
   std::string network;  // as CrumpleOptions.network; empty: none
   std::string scene = "main";
   std::string car;     // empty: all
+  int level = 0;       // of the surface
   bool once = false;   // prints and ends as soon as a surface is held
   double seconds = 0;  // ends after these; 0: by SIGINT (with once: 10)
   std::string obj;     // where to write the surface held at the end

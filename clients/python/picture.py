@@ -115,9 +115,9 @@ def take_car(key, data, crashes):
             spawn = Spawn()
             spawn.Init(command.Order().Bytes, command.Order().Pos)
             crashes[key[1]] = Crash(spawn.Host().decode())
-    elif key[1] in crashes and key[2] == "key":
+    elif key[1] in crashes and key[2:] == ["key", "0"]:
         crashes[key[1]].take_keyframe(Keyframe.GetRootAs(data))
-    elif key[1] in crashes and key[2] == "delta":
+    elif key[1] in crashes and key[2:] == ["delta", "0"]:
         crashes[key[1]].take_delta(Delta.GetRootAs(data))
 
 

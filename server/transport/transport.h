@@ -51,6 +51,8 @@ int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriori
 // Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, or beyond 256 MiB of all
 // that waits in this session, new ones are dropped and counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth);
+// Ends every subscription with this very expression. What has arrived before still comes.
+int net_unsubscribe(Net*, const char* key_expression);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused.
 int net_queryable(Net*, const char* key_expression, uint32_t depth);
 // Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one NET_REPLY_END, at the latest after timeout_ms

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "wire/check.h"
+#include "wire/surface.h"
 
 namespace crumple {
 namespace {
@@ -289,6 +290,7 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
   const size_t second = rest.find('/');
   const std::string_view id = rest.substr(0, second);
   const std::string_view tail = second == rest.npos ? std::string_view{} : rest.substr(second + 1);
+  const auto level = size_t(key.empty() ? 0 : key.back() - '0');
   if (key == "budget") {
     out.kind = Address::Kind::budget;
     return std::nullopt;
@@ -299,11 +301,13 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
     out.kind = Address::Kind::obstacles;
   } else if (kind == "car" && first != key.npos && second == rest.npos) {
     out.kind = Address::Kind::command;
-  } else if (kind == "car" && tail == "key") {
+  } else if (kind == "car" && tail.size() == 5 && tail.starts_with("key/") && level < surface_levels.size()) {
     out.kind = Address::Kind::keyframe;
+    out.level = level;
   } else {
-    return Refusal{Reason::bad_key,
-                   "key " + printable(key) + " is none of host/{host}/poses, host/{host}/obstacles, car/{car}, car/{car}/key"};
+    return Refusal{
+        Reason::bad_key,
+        "key " + printable(key) + " is none of host/{host}/poses, host/{host}/obstacles, car/{car}, car/{car}/key/{level}"};
   }
   Checker check{limits};
   out.id = check.id({"key"}, kind == "host" ? "host" : "car", id);

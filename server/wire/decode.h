@@ -24,7 +24,8 @@ using Bytes = std::vector<std::byte>;
 // A key below crumple/1/{scene}/ that the server listens on.
 struct Address {
   enum class Kind { poses, obstacles, command, keyframe, budget } kind;
-  std::string id;  // of the host (poses, obstacles) or the car; of a budget none
+  std::string id;    // of the host (poses, obstacles) or the car; of a budget none
+  size_t level = 0;  // of the surface that a keyframe is of
 };
 
 struct Intent {

@@ -75,7 +75,7 @@ Bytes encode_health(const HealthReport& report) {
   }
   const auto counts = encode_counts(builder, report.counts), refusals = encode_counts(builder, report.refusals);
   std::vector<flatbuffers::Offset<schema::CarTold>> told;
-  for (const auto& car : report.told) told.push_back(schema::CreateCarToldDirect(builder, car.car.c_str(), car.tick));
+  for (const auto& car : report.told) told.push_back(schema::CreateCarToldDirect(builder, car.car.c_str(), &car.ticks));
   return finish(builder, schema::CreateHealthDirect(builder, report.tick, float(report.rate), report.late, &rooms, &counts,
                                                     &refusals, &told));
 }

@@ -40,7 +40,7 @@ struct HealthReport {
   std::vector<Count> counts, refusals;
   struct CarTold {
     std::string car;
-    uint64_t tick;
+    std::vector<uint64_t> ticks;  // by surface level
   };
   std::vector<CarTold> told;
 };

@@ -4,6 +4,7 @@
 // keyframe and delta is what the server holds, or is told from it by the hash.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <string>
@@ -13,6 +14,15 @@
 #include "wire/decode.h"
 
 namespace crumple {
+
+// The surface levels: how finely and how often viewers are told. 0 is for who is near. 1 is for who is far: half of 4 mm on
+// each axis is a pixel of 1,920 over 90 degrees from 4 m on, and ten times a second is what positions of far players are sent
+// at.
+struct SurfaceLevel {
+  int quanta;      // of the scene's that are one of its own
+  uint64_t ticks;  // from message to message while the car moves; at rest it is told at once
+};
+inline constexpr std::array<SurfaceLevel, 2> surface_levels = {{{1, 1}, {8, 6}}};
 
 inline constexpr size_t part_size = 64'000;        // bytes that no keyframe or delta message reaches
 inline constexpr uint64_t keyframe_interval = 60;  // ticks between keyframes while deltas flow
@@ -42,7 +52,7 @@ std::vector<Bytes> encode_keyframe(const SurfaceHead&, std::span<const int16_t> 
 std::vector<Bytes> encode_delta(const SurfaceHead&, std::span<const int16_t> displacement, uint64_t keyframe_tick,
                                 std::span<const int16_t> keyframe);
 
-// What the viewers of one car were told last.
+// What the viewers of one car on one level were told last.
 struct Told {
   std::vector<int16_t> keyframe;  // displacement of the last keyframe
   std::vector<int16_t> latest;    // of the last message

@@ -57,6 +57,7 @@ struct State {
     waiting: BTreeMap<u64, (SourceId, Event)>,
     bytes: usize,
     sources: Vec<Source>,
+    free: Vec<SourceId>, // given back; what still waits of them is taken like the rest
 }
 
 impl State {
@@ -116,8 +117,16 @@ impl Inbox {
 
     pub fn add_source(&self, depth: usize) -> SourceId {
         let mut state = self.state.lock().unwrap();
+        if let Some(source) = state.free.pop() {
+            state.sources[source].depth = depth;
+            return source;
+        }
         state.sources.push(Source { depth, waiting: 0, latest: HashMap::new() });
         state.sources.len() - 1
+    }
+
+    pub fn free_source(&self, source: SourceId) {
+        self.state.lock().unwrap().free.push(source);
     }
 
     /// Tells before a copy is made whether it would be refused, and then counts it as such.

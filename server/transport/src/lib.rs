@@ -164,6 +164,12 @@ pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth:
 }
 
 #[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_unsubscribe(net: *mut Net, key: *const c_char) -> c_int {
+    let unsubscribe = || unsafe { borrow(net, "net")?.unsubscribe(text(key, "key_expression")?) };
+    done(unsubscribe())
+}
+
+#[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_queryable(net: *mut Net, key: *const c_char, depth: u32) -> c_int {
     let declare = || unsafe { borrow(net, "net")?.queryable(text(key, "key_expression")?, depth) };
     done(declare())

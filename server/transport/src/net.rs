@@ -59,6 +59,7 @@ enum Put {
 
 enum Ask {
     Subscribe(KeyExpr<'static>, SourceId),
+    Unsubscribe(KeyExpr<'static>),
     Queryable(KeyExpr<'static>, SourceId),
     Announce(KeyExpr<'static>),
     Retract(KeyExpr<'static>),
@@ -186,6 +187,10 @@ impl Net {
         let key = key_expression(key)?;
         let source = self.shared.inbox.add_source(depth as usize);
         self.ask(Ask::Subscribe(key, source), 0)
+    }
+
+    pub fn unsubscribe(&self, key: &str) -> Result<(), Fail> {
+        self.ask(Ask::Unsubscribe(key_expression(key)?), 0)
     }
 
     pub fn queryable(&self, key: &str, depth: u32) -> Result<(), Fail> {
@@ -336,12 +341,21 @@ fn watch_matching(session: &Session, key: &Arc<Key>, declared: &mut HashMap<u8, 
 fn ask(session: &Session, shared: &Arc<Shared>) {
     let mut declared: Vec<Box<dyn Any>> = Vec::new(); // dropped, so undeclared, at the end
     let mut tokens = HashMap::new();
+    let mut subscribers = HashMap::new();
     loop {
         let done = match shared.asks.pop(None) {
             Next::Item(Ask::Subscribe(key, source)) => {
                 let shared = shared.clone();
                 let take = move |sample: Sample| shared.sample(source, &sample);
-                session.declare_subscriber(key).callback(take).wait().map(|it| declared.push(Box::new(it)))
+                let subscriber = session.declare_subscriber(key.clone()).callback(take).wait();
+                subscriber.map(|it| subscribers.entry(key).or_insert_with(Vec::new).push((it, source)))
+            }
+            Next::Item(Ask::Unsubscribe(key)) => {
+                subscribers.remove(&key).into_iter().flatten().try_for_each(|(subscriber, source)| {
+                    let done = subscriber.undeclare().wait();
+                    shared.inbox.free_source(source);
+                    done
+                })
             }
             Next::Item(Ask::Queryable(key, source)) => {
                 let (shared, own) = (shared.clone(), key.clone());
