@@ -118,6 +118,21 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   Crumple* far_audience = open();
   ASSERT_EQ(crumple_follow(far_audience, "box", 1), CRUMPLE_OK);
   EXPECT_TRUE(until(far_audience, [&] { return hash_held(far_audience) == far_dent; })) << "nor to those far away";
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("client", nullptr, endpoint.c_str(), nullptr, 30'000, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> late_audience(opened, net_close);
+  float quantum = 0;
+  uint64_t asking = 0;
+  for (const auto deadline = Clock::now() + patience; quantum == 0 && Clock::now() < deadline;) {
+    if (asking == 0) net_get(opened, "crumple/1/main/car/box/key/1", nullptr, 0, 1000, &asking);
+    NetEvent events[8];
+    for (int k = 0, got = net_poll(opened, events, 8, 100'000); k < got; ++k) {
+      if (events[k].kind == NET_REPLY && !events[k].failed)
+        quantum = flatbuffers::GetRoot<schema::Keyframe>(events[k].data)->quantum();
+      if (events[k].kind == NET_REPLY_END) asking = 0;
+    }
+  }
+  EXPECT_EQ(quantum, 0.004f) << "of the keyframe that answers who comes late and far";
 }
 
 // Two servers and a router; the one that owns the scene is killed while the car is being crushed.
