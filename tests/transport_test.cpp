@@ -630,6 +630,29 @@ TEST(Recording, RefusesWhatIsNoRecordingAndSaysSo) {
   EXPECT_EQ(reader_open(nullptr, &reader), TRANSPORT_BAD_ARGUMENT);
 }
 
+// Room for what a string says it has would be taken before it is seen that it is not there.
+TEST(Recording, RefusesStringsThatAreLongerThanTheirRecord) {
+  using namespace std::string_literals;
+  const std::string huge = "\xff\xff\xff\x7f"s, none = "\0\0\0\0"s, ids = "\1\0\1\0"s;
+  const std::pair<char, std::string> records[] = {
+      {'\x03', ids.substr(0, 2) + huge},                          // schema: name
+      {'\x04', ids + none + huge},                                // channel: encoding
+      {'\x04', ids + none + none + "\x08\0\0\0"s + none + huge},  // channel: a value of its metadata
+      {'\x0c', huge},                                             // metadata: name
+      {'\x0c', none + "\x04\0\0\0"s + huge},                      // metadata: a key
+  };
+  for (const auto& [opcode, body] : records) {
+    const std::string path = temporary("hostile.mcap");
+    write_file(path, "\x89MCAP0\r\n"s + opcode + char(body.size()) + std::string(7, '\0') + body);
+    Reader* reader = nullptr;
+    ASSERT_EQ(reader_open(path.c_str(), &reader), TRANSPORT_OK);
+    ReaderMessage message;
+    EXPECT_EQ(reader_next(reader, &message), TRANSPORT_BAD_FILE);
+    EXPECT_NE(std::string(transport_error()).find("do not fit"), std::string::npos) << transport_error();
+    reader_close(reader);
+  }
+}
+
 TEST(Recording, IsReadableWhileItIsBeingWritten) {
   const std::string path = temporary("open.mcap");
   Recorder* recorder = nullptr;
