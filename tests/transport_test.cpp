@@ -410,6 +410,16 @@ TEST(Net, RefusesBadArgumentsWithASentence) {
   EXPECT_EQ(net_poll(peer.get(), nullptr, 1, 0), TRANSPORT_BAD_ARGUMENT);
 }
 
+// They would end the stack of the program that reads them.
+TEST(Net, RefusesAConfigurationOfBracketsWithinBrackets) {
+  std::string list, map;
+  for (int k = 0; k < 20'000; ++k) list += '[', map += "{a:";
+  for (const std::string& text : {list + std::string(20'000, ']'), map + "1" + std::string(20'000, '}')}) {
+    EXPECT_EQ(net_check(text.c_str()), TRANSPORT_BAD_ARGUMENT);
+    EXPECT_NE(std::string(transport_error()).find("brackets"), std::string::npos) << transport_error();
+  }
+}
+
 TEST(Net, SaysWhichEndpointItCannotUse) {
   const Session taken = open_peer();
   Net* net = nullptr;
