@@ -3,6 +3,7 @@
 #include "transport/transport.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <atomic>
 #include <chrono>
@@ -661,6 +662,24 @@ TEST(Recording, RefusesStringsThatAreLongerThanTheirRecord) {
     EXPECT_NE(std::string(transport_error()).find("do not fit"), std::string::npos) << transport_error();
     reader_close(reader);
   }
+}
+
+// A record in a chunk claims 200 MB that are not there.
+TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
+  std::string chunk(24 + 4, '\0');  // times, size, sum
+  chunk += std::string(4, '\0');    // no compression
+  const uint64_t records = 1 << 20, claimed = 200 << 20;
+  const auto number = [](uint64_t value) { return std::string(reinterpret_cast<const char*>(&value), sizeof value); };
+  chunk += number(records) + '\x05' + number(claimed) + std::string(records - 9, 'x');
+  const std::string path = temporary("hostile.mcap");
+  write_file(path, std::string("\x89MCAP0\r\n\x06", 9) + number(chunk.size()) + chunk);
+  rusage before{}, after{};
+  getrusage(RUSAGE_SELF, &before);
+  const Recording read = read_recording(path);
+  getrusage(RUSAGE_SELF, &after);
+  EXPECT_EQ(read.opened, TRANSPORT_OK);
+  EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
+  EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 50'000) << "kB";
 }
 
 TEST(Recording, IsReadableWhileItIsBeingWritten) {

@@ -122,6 +122,8 @@ impl Reader {
         while let Some(event) = self.stream.linear.next_event() {
             match event.map_err(|e| causes(&e))? {
                 LinearReadEvent::ReadRequest(need) => {
+                    // A record in a chunk may claim any length: room is made for no more than the file still has.
+                    let need = need.min(self.stream.file.limit() as usize).max(1);
                     let got = self.stream.file.read(self.stream.linear.insert(need)).map_err(|e| e.to_string())?;
                     self.stream.linear.notify_read(got);
                 }
