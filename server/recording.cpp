@@ -220,7 +220,7 @@ void RecordingReader::read_metadata() {
 bool RecordingReader::next(Item& item) {
   ReaderMessage message;
   const int status = reader_next(reader_, &message);
-  if (status < 0) throw std::runtime_error(path_ + ": " + transport_error());
+  need(status);
   if (status == 0) return false;
   item.key = message.topic;
   item.channel = Channel::other;
@@ -235,7 +235,7 @@ bool RecordingReader::next(Item& item) {
 }
 
 void RecordingReader::rewind() {
-  if (reader_rewind(reader_) < 0) throw std::runtime_error(path_ + ": " + transport_error());
+  need(reader_rewind(reader_));
 }
 
 }  // namespace crumple

@@ -94,10 +94,11 @@ void copy(Reader* reader, uint32_t last, const std::string& path) {
     if (new_schema)
       schema->second = when_there_is_room([&] { return recorder_schema(recorder, m.schema, m.bfbs, m.bfbs_size); });
     const auto [channel, new_channel] = channels.try_emplace(m.topic);
-    if (new_channel) channel->second = when_there_is_room([&] { return recorder_channel(recorder, m.topic, schema->second); });
-    when_there_is_room([&] {
-      return recorder_write(recorder, channel->second, m.sequence, m.log_time_ns, m.publish_time_ns, m.data, m.size);
-    });
+    const int of_schema = schema->second;
+    if (new_channel) channel->second = when_there_is_room([&] { return recorder_channel(recorder, m.topic, of_schema); });
+    const int id = channel->second;
+    when_there_is_room(
+        [&] { return recorder_write(recorder, id, m.sequence, m.log_time_ns, m.publish_time_ns, m.data, m.size); });
   }
   need(recorder_close(closer.release()));
 }

@@ -2,15 +2,22 @@
 // program.
 #include "snapshot.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 #include <stdexcept>
 
+#include "sim/nodal.h"
 #include "state.h"
+#include "wire/check.h"
 
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 2;  // to be counted up with every change of a field below
+constexpr uint32_t format = 2;                       // to be counted up with every change of a field below
+constexpr uint64_t latest_tick = uint64_t{1} << 53;  // whole in a double
+
+[[noreturn]] void refuse(const std::string& fact) { throw std::runtime_error("the snapshot of the world is damaged: " + fact); }
 
 class Writer {
  public:
@@ -42,7 +49,8 @@ class Reader {
     uint64_t size = 0;
     raw(&size, sizeof size);
     // Not more than could be in the rest: damage must not ask for memory.
-    if (size > left.size()) throw std::runtime_error("the snapshot of the world is cut off or damaged");
+    if (size > left.size() / sizeof(typename List::value_type))
+      throw std::runtime_error("the snapshot of the world is cut off or damaged");
     list.resize(size);
   }
 };
@@ -136,24 +144,93 @@ void field(File& file, Instance& car) {
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 
-// What the sizes of a body's lists must be, and whether its history can be gone on with: no sum covers that one's lists.
-void check(const Model& model, const Instance& car) {
-  const Body& body = car.body;
-  const auto fits = [&](size_t size, size_t wanted) { return size == 0 || size == wanted; };
-  bool good = hash(body) == car.hashes[0] && body.node.size() == model.node.size() && fits(body.step.size(), model.node.size());
-  good &= body.gradients.size() == model.tet.size() && body.hardening.size() == model.tet.size();
-  good &= body.tet_rest.size() == model.tet.size() && body.edge_rest.size() == model.edge.size();
-  const History& history = body.history;
-  good &= history.count >= 0 && history.count <= mixing_depth && history.next >= 0 && history.next < mixing_depth;
-  for (int k = 0; good && k < history.count; ++k) {
-    const size_t size = history.residual[size_t(k)].size();
-    good &= size == history.residual[0].size() && size == history.result[size_t(k)].size() && size >= model.node.size();
-  }
+// ---- what the next tick relies on -------------------------------------------------------------------------------------------
+
+bool finite(const Eigen::Vector3d& v) { return v.allFinite(); }
+bool finite(const Pose& pose) { return finite(pose.position) && std::abs(pose.orientation.norm() - 1) < 1e-3; }
+bool finite(const Motion& motion) { return finite(motion.pose) && finite(motion.velocity) && finite(motion.angular_velocity); }
+template <class... Numbers>
+bool not_negative(Numbers... numbers) {
+  return ((std::isfinite(numbers) && numbers >= 0) && ...);
+}
+
+void check_id(const std::string& id) {
+  const Limits limits;
+  Checker checker{limits};
+  (void)checker.id({"snapshot"}, "id", id);
+  if (checker.refusal) refuse(checker.refusal->sentence);
+}
+
+// Changes of so many steps, each of all nodes, the oldest of which is overwritten next.
+bool is_sound(const History& history, size_t nodes) {
+  const int count = history.count, next = history.next;
+  bool good = count >= 0 && count <= mixing_depth && next >= 0 && next < mixing_depth;
+  good = good && (count == mixing_depth || next == count);
+  for (size_t k = 0; good && k < size_t(count); ++k)
+    good = history.residual[k].size() == quads_of_nodes(nodes) && history.result[k].size() == quads_of_nodes(nodes);
+  return good;
+}
+
+template <class T>
+bool finite(const std::vector<T>& list, size_t size) {
+  const auto* numbers = reinterpret_cast<const float*>(list.data());
+  const size_t count = list.size() * (sizeof(T) / sizeof(float));
+  return list.size() == size && std::all_of(numbers, numbers + count, [](float number) { return std::isfinite(number); });
+}
+
+// Unlike refuse_state it takes any shape: a body that was thrown apart is a part of the world too.
+void check(const Model& model, const Body& body) {
+  const size_t nodes = model.node.size(), tets = model.tet.size();
+  bool good = finite(body.node, nodes) && finite(body.step, nodes) && is_sound(body.history, nodes);
+  good = good && finite(body.gradients, tets) && finite(body.hardening, tets) && finite(body.tet_rest, tets);
+  good = good && finite(body.edge_rest, model.edge.size()) && finite(body.force) && finite(body.moment);
+  good = good && not_negative(body.step_seconds, body.owed, body.reach, body.drift);
+  good = good && body.low.allFinite() && body.high.allFinite();
+  if (!good || !std::isfinite(body.absorbed) || !std::isfinite(body.stored)) refuse("a body does not fit its car");
+}
+
+void check(const World& world, const Instance& car) {
+  if (!world.hosts.contains(car.host)) refuse("a car is of host " + car.host + ", which it does not have");
+  if (car.parameters.solver > Solver::classic) refuse("a car has neither of the two solvers");
+  if (const auto sentence = out_of_range(car.parameters)) refuse(*sentence);
+  const Mass& mass = car.mass;
+  bool good = not_negative(car.importance) && car.importance <= 1 && finite(car.motion) && finite(mass.center);
+  good = good && std::isfinite(mass.mass) && mass.mass > 0 && finite(mass.inertia) && mass.inertia.minCoeff() > 0;
+  for (const ImpulseLog::Change& change : car.log.changes)
+    good = good && finite(change.velocity) && finite(change.angular_velocity);
+  good = good && (car.response.sweeps == 0 || car.response.substeps > 0);
+  const size_t shown = 3 * car.levels->front()->skin_node.size();
   for (const Told& told : car.told) {
-    good &= fits(told.keyframe.size(), 3 * car.levels->front()->skin_node.size());
-    good &= fits(told.latest.size(), 3 * car.levels->front()->skin_node.size());
+    good = good && told.keyframe.size() == shown && told.latest.size() == shown;
+    good = good && told.keyframe_tick <= told.tick && told.tick <= world.tick;
   }
-  if (!good) throw std::runtime_error("the snapshot of the world is damaged: a body does not fit its car");
+  if (!good) refuse("a number or a size of a car is one that none can have");
+}
+
+void check(const World& world) {
+  if (world.tick >= latest_tick) refuse("it is of tick " + std::to_string(world.tick));
+  if (world.hosts.size() > world.limits.hosts || world.cars.size() > world.limits.cars) refuse("it has too many cars or hosts");
+  std::map<std::string, uint64_t> cars;
+  uint64_t obstacles = 0;
+  for (const auto& [id, car] : world.cars) {
+    check_id(id);
+    check(world, car);
+    check(car.car->model, car.body);
+    ++cars[car.host];
+  }
+  for (const auto& [id, host] : world.hosts) {
+    check_id(id);
+    if (host.cars != cars[id]) refuse("host " + id + " has not as many cars as it says");
+    obstacles += host.obstacles;
+  }
+  if (obstacles != world.obstacles.size()) refuse("hosts have not as many obstacles as they say");
+  for (const Obstacle& obstacle : world.obstacles) {
+    bool good = finite(obstacle.pose) && finite(obstacle.velocity) && finite(obstacle.angular_velocity);
+    good = good && not_negative(obstacle.half_length, obstacle.radius, obstacle.friction) && obstacle.reach >= 0;
+    for (const Plane& face : obstacle.faces)
+      good = good && std::abs(face.normal.norm() - 1) < 1e-3f && std::isfinite(face.offset);
+    if (!good) refuse("an obstacle has a number that none can have");
+  }
 }
 
 const Levels& levels_of(const World& world, const std::string& asset) {
@@ -185,13 +262,17 @@ void load(Reader& file, World& world) {
   car.car = levels_of(world, level).front();
   const bool is_level =
       std::any_of(car.levels->begin(), car.levels->end(), [&](const auto& each) { return each->hash == level; });
-  if (!is_level) throw std::runtime_error("the snapshot of the world is damaged: car " + id + " is on a level of another car");
+  if (!is_level) refuse("car " + id + " is on a level of another car");
   field(file, car);
   bool damaged = false;
   field(file, damaged);
   car.body = make_body(car.car->model);
   if (damaged) field(file, car.body);
-  check(car.car->model, car);
+  car.hashes[0] = hash(car.body);
+  for (size_t level = 0; level < car.told.size(); ++level) {
+    car.hashes[1 + 2 * level] = hash(car.told[level].keyframe);
+    car.hashes[2 + 2 * level] = hash(car.told[level].latest);
+  }
 }
 
 // tick, budget, hosts and obstacles.
@@ -210,8 +291,12 @@ void field(File& file, World& world) {
     field(file, host.poses_sequence, host.obstacles_sequence, host.cars, host.obstacles);
     ++at;
   }
-  file.resize(world.obstacles);
-  for (Obstacle& obstacle : world.obstacles) field(file, obstacle);
+  uint64_t obstacles = world.obstacles.size();
+  field(file, obstacles);
+  for (uint64_t k = 0; k < obstacles; ++k) {
+    if constexpr (File::reads) world.obstacles.emplace_back();
+    field(file, world.obstacles[k]);
+  }
 }
 
 void clear(World& world) {
@@ -236,7 +321,7 @@ std::vector<std::byte> save_world(const World& of) {
   return std::move(file.bytes);
 }
 
-void load_world(std::span<const std::byte> bytes, World& world) {
+bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
   clear(world);
   try {
     Reader file(bytes);
@@ -254,12 +339,19 @@ void load_world(std::span<const std::byte> bytes, World& world) {
     field(file, world);
     field(file, cars);
     for (uint64_t k = 0; k < cars; ++k) load(file, world);
-    if (!file.left.empty() || hash(world) != sum)
-      throw std::runtime_error("the snapshot of the world is damaged: its sum does not match");
+    if (!file.left.empty()) refuse("it does not end where it should");
+    check(world);
+    return hash(world) == sum;
   } catch (...) {
     clear(world);
     throw;
   }
+}
+
+void load_world(std::span<const std::byte> bytes, World& world) {
+  if (load_unsummed_world(bytes, world)) return;
+  clear(world);
+  refuse("its sum does not match");
 }
 
 }  // namespace crumple

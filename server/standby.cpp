@@ -54,11 +54,6 @@ struct Standby {
   uint64_t followed = 0;  // ticks since the world came
 };
 
-const schema::Inputs* inputs_of(const std::vector<std::byte>& bytes) {
-  flatbuffers::Verifier verifier(reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size());
-  return verifier.VerifyBuffer<schema::Inputs>(nullptr) ? flatbuffers::GetRoot<schema::Inputs>(bytes.data()) : nullptr;
-}
-
 // In the token stands whether this one holds the world: one that does goes before one that does not.
 void announce(Standby& standby) {
   const std::string name = (standby.same ? "0-" : "1-") + standby.options.id;
@@ -116,23 +111,17 @@ void take_world(Standby& standby, const NetEvent& event) {
 void follow(Standby& standby) {
   Outbox unheard;
   for (size_t k = 0; k < ticks_at_once && standby.same && !standby.waiting.empty(); ++k) {
-    const schema::Inputs* inputs = inputs_of(standby.waiting.front());
+    const auto inputs = read_inputs(standby.waiting.front());
     const uint64_t next = tick_count(standby.world) + 1;
-    if (inputs && inputs->tick() >= next) {
-      bool same = inputs->tick() == next;
+    if (inputs && inputs->tick >= next) {
+      bool same = inputs->tick == next;
       if (same) {
-        Inbox inbox;
-        for (const auto* input : *inputs->inputs()) {
-          const auto* data = reinterpret_cast<const std::byte*>(input->payload()->data());
-          // Any ticket will do: it only asks for an answer.
-          inbox.push_back({input->key()->str(), {data, data + input->payload()->size()}, input->is_query() ? 1u : 0u});
-        }
-        tick(standby.world, inbox, unheard, standby.options.threads);
-        same = hash(standby.world) == inputs->hash();
+        tick(standby.world, inputs->inbox, unheard, standby.options.threads);
+        same = hash(standby.world) == inputs->hash;
       }
       if (!same) {
         std::fprintf(stderr, "crumple serve: out of step with the owner at its tick %llu: asks for its world again\n",
-                     static_cast<unsigned long long>(inputs->tick()));
+                     static_cast<unsigned long long>(inputs->tick));
         standby.same = false;
         ask_later(standby);
       } else if (++standby.followed == calm_ticks) {
@@ -227,6 +216,19 @@ Message inputs_message(uint64_t tick, const Inbox& inbox, uint64_t hash) {
   builder.Finish(schema::CreateInputsDirect(builder, tick, &list, hash));
   const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {"replica/inputs", {data, data + builder.GetSize()}};
+}
+
+std::optional<TickInputs> read_inputs(std::span<const std::byte> bytes) {
+  const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
+  if (bytes.empty() || !flatbuffers::Verifier(data, bytes.size()).VerifyBuffer<schema::Inputs>(nullptr)) return std::nullopt;
+  const auto* from = flatbuffers::GetRoot<schema::Inputs>(data);
+  TickInputs out{from->tick(), from->hash(), {}};
+  for (const auto* input : *from->inputs()) {
+    const auto* payload = reinterpret_cast<const std::byte*>(input->payload()->data());
+    // Any ticket will do: it only asks for an answer.
+    out.inbox.push_back({input->key()->str(), {payload, payload + input->payload()->size()}, input->is_query() ? 1u : 0u});
+  }
+  return out;
 }
 
 std::vector<std::byte> world_question(uint64_t offset, uint64_t asker) {

@@ -10,6 +10,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <span>
 #include <string>
 
 #include "transport/transport.h"
@@ -31,6 +32,12 @@ std::string random_id();
 
 // Key "replica/inputs": to be sent before the tick's own messages, so that no viewer knows more than who stands by.
 Message inputs_message(uint64_t tick, const Inbox&, uint64_t hash);
+struct TickInputs {
+  uint64_t tick = 0, hash = 0;
+  Inbox inbox;
+};
+// Of its bytes, aligned to 8; nothing if they are none.
+std::optional<TickInputs> read_inputs(std::span<const std::byte>);
 
 // What a question for the world says: where the piece begins, a number of the asker's own for all pieces of one snapshot, and
 // its program, since another one would not make the same ticks.

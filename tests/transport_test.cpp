@@ -3,6 +3,7 @@
 #include "transport/transport.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <atomic>
 #include <chrono>
@@ -428,6 +429,16 @@ TEST(Net, RefusesBadArgumentsWithASentence) {
   EXPECT_EQ(net_poll(peer.get(), nullptr, 1, 0), TRANSPORT_BAD_ARGUMENT);
 }
 
+// They would end the stack of the program that reads them.
+TEST(Net, RefusesAConfigurationOfBracketsWithinBrackets) {
+  std::string list, map;
+  for (int k = 0; k < 20'000; ++k) list += '[', map += "{a:";
+  for (const std::string& text : {list + std::string(20'000, ']'), map + "1" + std::string(20'000, '}')}) {
+    EXPECT_EQ(net_check(text.c_str()), TRANSPORT_BAD_ARGUMENT);
+    EXPECT_NE(std::string(transport_error()).find("brackets"), std::string::npos) << transport_error();
+  }
+}
+
 TEST(Net, SaysWhichEndpointItCannotUse) {
   const Session taken = open_peer();
   Net* net = nullptr;
@@ -646,6 +657,47 @@ TEST(Recording, RefusesWhatIsNoRecordingAndSaysSo) {
   EXPECT_EQ(read.cut, 1);
   EXPECT_TRUE(read.entries.empty());
   EXPECT_EQ(reader_open(nullptr, &reader), TRANSPORT_BAD_ARGUMENT);
+}
+
+// Room for what a string says it has would be taken before it is seen that it is not there.
+TEST(Recording, RefusesStringsThatAreLongerThanTheirRecord) {
+  using namespace std::string_literals;
+  const std::string huge = "\xff\xff\xff\x7f"s, none = "\0\0\0\0"s, ids = "\1\0\1\0"s;
+  const std::pair<char, std::string> records[] = {
+      {'\x03', ids.substr(0, 2) + huge},                          // schema: name
+      {'\x04', ids + none + huge},                                // channel: encoding
+      {'\x04', ids + none + none + "\x08\0\0\0"s + none + huge},  // channel: a value of its metadata
+      {'\x0c', huge},                                             // metadata: name
+      {'\x0c', none + "\x04\0\0\0"s + huge},                      // metadata: a key
+  };
+  for (const auto& [opcode, body] : records) {
+    const std::string path = temporary("hostile.mcap");
+    write_file(path, "\x89MCAP0\r\n"s + opcode + char(body.size()) + std::string(7, '\0') + body);
+    Reader* reader = nullptr;
+    ASSERT_EQ(reader_open(path.c_str(), &reader), TRANSPORT_OK);
+    ReaderMessage message;
+    EXPECT_EQ(reader_next(reader, &message), TRANSPORT_BAD_FILE);
+    EXPECT_NE(std::string(transport_error()).find("do not fit"), std::string::npos) << transport_error();
+    reader_close(reader);
+  }
+}
+
+// A record in a chunk claims 200 MB that are not there.
+TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
+  std::string chunk(24 + 4, '\0');  // times, size, sum
+  chunk += std::string(4, '\0');    // no compression
+  const uint64_t records = 1 << 20, claimed = 200 << 20;
+  const auto number = [](uint64_t value) { return std::string(reinterpret_cast<const char*>(&value), sizeof value); };
+  chunk += number(records) + '\x05' + number(claimed) + std::string(records - 9, 'x');
+  const std::string path = temporary("hostile.mcap");
+  write_file(path, std::string("\x89MCAP0\r\n\x06", 9) + number(chunk.size()) + chunk);
+  rusage before{}, after{};
+  getrusage(RUSAGE_SELF, &before);
+  const Recording read = read_recording(path);
+  getrusage(RUSAGE_SELF, &after);
+  EXPECT_EQ(read.opened, TRANSPORT_OK);
+  EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
+  EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 50'000) << "kB";
 }
 
 TEST(Recording, IsReadableWhileItIsBeingWritten) {

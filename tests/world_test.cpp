@@ -9,6 +9,7 @@
 
 #include "box_car.h"
 #include "host.h"
+#include "refusal.h"
 #include "snapshot.h"
 #include "state.h"
 
@@ -718,6 +719,48 @@ TEST(State, ADamagedWorldIsRefusedAndLeavesNothing) {
   EXPECT_LT(loaded, 300);
   Scene without(cell());
   EXPECT_THROW(load_world(bytes, *without.world), std::runtime_error) << "an asset that is not there";
+}
+
+// Whoever makes such bytes up can give them their sum: a recording from elsewhere must not end who replays it.
+TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  using Change = std::function<void(World&, Instance&)>;
+  const std::pair<const char*, Change> changes[] = {
+      {"more obstacles than there are", [](World& w, Instance&) { w.hosts.at("game").obstacles = 9; }},
+      {"fewer cars than there are", [](World& w, Instance&) { w.hosts.at("game").cars = 0; }},
+      {"a host that is not there", [](World&, Instance& c) { c.host = "nobody"; }},
+      {"the id of a car", [](World& w, Instance& c) { w.cars["a/b"] = c, ++w.hosts.at("game").cars; }},
+      {"no sub-steps", [](World&, Instance& c) { c.parameters.substeps = 0; }},
+      {"a solver", [](World&, Instance& c) { c.parameters.solver = Solver(7); }},
+      {"sweeps of no sub-step", [](World&, Instance& c) { c.response.substeps = 0; }},
+      {"a velocity", [&](World&, Instance& c) { c.motion.velocity.x() = nan; }},
+      {"an orientation", [](World&, Instance& c) { c.motion.pose.orientation.w() = 9; }},
+      {"a mass", [](World&, Instance& c) { c.mass.mass = 0; }},
+      {"no keyframe", [](World&, Instance& c) { c.told.keyframe.clear(); }},
+      {"a keyframe of the future", [](World&, Instance& c) { c.told.keyframe_tick = 99; }},
+      {"a body without steps", [](World&, Instance& c) { c.body.step.clear(); }},
+      {"a node", [&](World&, Instance& c) { c.body.node[1].x() = float(nan); }},
+      {"the solver's steps: too short", [](World&, Instance& c) { c.body.history.residual[0].pop_back(); }},
+      {"the solver's steps: none before the next",
+       [](World&, Instance& c) { c.body.history.count = 0, c.body.history.next = 3; }},
+      {"an obstacle", [&](World& w, Instance&) { w.obstacles.at(0).pose.position.x() = nan; }},
+      {"the end of time", [](World& w, Instance&) { w.tick = UINT64_MAX; }},
+  };
+  Scene scene;
+  crash(scene, 3);
+  const Bytes good = save_world(*scene.world);
+  for (const auto& [what, change] : changes) {
+    Scene changed, copy;
+    load_world(good, *changed.world);
+    ASSERT_GT(changed.car("a").body.history.count, 0);
+    change(*changed.world, changed.car("a"));
+    Instance& car = changed.car("a");
+    car.hashes = {hash(car.body), hash(car.told.keyframe), hash(car.told.latest)};
+    const std::string why = refusal([&] { load_world(save_world(*changed.world), *copy.world); });
+    EXPECT_NE(why.find("damaged: "), std::string::npos) << what;
+    EXPECT_EQ(why.find("sum"), std::string::npos) << what;
+    EXPECT_TRUE(cars(*copy.world).empty());
+  }
 }
 
 TEST(State, SavedInMidCrashAndLoadedInTwoWorldsTheyStayTheSame) {

@@ -310,25 +310,6 @@ void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (alive) ask_for_keyframe(session, std::string(id), *car);
 }
 
-void take(Crumple& session, const NetEvent& event) {
-  const std::span<const uint8_t> bytes(event.data, event.size);
-  std::string_view key = event.key ? event.key : "";
-  if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) {
-    if (event.kind == NET_REPLY_END) return end_ticket(session, event.ticket);
-    session.statistics.received_bytes += bytes.size();
-    return take_reply(session, event.ticket, bytes, event.failed != 0);
-  }
-  if (!key.starts_with(session.root)) return;
-  key.remove_prefix(session.root.size());
-  if (event.kind == NET_SAMPLE) {
-    ++session.statistics.received;
-    session.statistics.received_bytes += bytes.size();
-    take_sample(session, key, bytes);
-  } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
-    take_liveliness(session, key, event.kind == NET_ALIVE);
-  }
-}
-
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
   for (auto& [id, car] : session.cars) {
@@ -402,6 +383,25 @@ int begin(Crumple& session, const char* connect, const char* network) {
 }
 
 }  // namespace
+
+void take(Crumple& session, const NetEvent& event) {
+  const std::span<const uint8_t> bytes(event.data, event.size);
+  std::string_view key = event.key ? event.key : "";
+  if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) {
+    if (event.kind == NET_REPLY_END) return end_ticket(session, event.ticket);
+    session.statistics.received_bytes += bytes.size();
+    return take_reply(session, event.ticket, bytes, event.failed != 0);
+  }
+  if (!key.starts_with(session.root)) return;
+  key.remove_prefix(session.root.size());
+  if (event.kind == NET_SAMPLE) {
+    ++session.statistics.received;
+    session.statistics.received_bytes += bytes.size();
+    take_sample(session, key, bytes);
+  } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
+    take_liveliness(session, key, event.kind == NET_ALIVE);
+  }
+}
 
 int fail(int status, std::string sentence) {
   last_error = std::move(sentence);

@@ -96,3 +96,8 @@ struct Crumple {
   CrumpleHealth health{};
   CrumpleStatistics statistics{};
 };
+
+namespace crumple::client {
+// Takes in what arrived.
+void take(Crumple&, const NetEvent&);
+}  // namespace crumple::client

@@ -1,19 +1,23 @@
 #include "asset/paint_regions.h"
 
+#include <flatbuffers/idl.h>
+#include <flatbuffers/util.h>
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <iterator>
 #include <map>
 #include <stdexcept>
 
 #include "asset/car.h"
 #include "asset/nearest.h"
-#include "asset/regions_schema.h"  // generated: the text of schema/geometry.fbs and schema/regions.fbs
-#include "asset/script.h"
 #include "asset/text_of.h"
 #include "schema/regions_generated.h"
+
+// REGIONS_BFBS: schema/regions.fbs with what it includes, compiled by flatc.
+asm(".pushsection .rodata\n.balign 8\nregions_schema:\n.incbin \"" REGIONS_BFBS "\"\nregions_schema_end:\n.popsection");
+extern "C" const uint8_t regions_schema[], regions_schema_end[];
 
 namespace crumple {
 namespace {
@@ -56,31 +60,19 @@ void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& region
   report.push_back("painted by " + std::to_string(region_of.size()) + " vertex colours");
 }
 
-// FlatBuffers' own parser turns the JSON into a table. As a child: the library that the package brings cannot be linked into a
-// position-independent program.
-std::vector<uint8_t> parse_regions(const std::filesystem::path& file) {
-  const TemporaryFolder folder;
-  const auto text = [](const char* schema) { return std::span(schema, std::strlen(schema)); };
-  write_array<char>(folder.path / "geometry.fbs", text(geometry_schema));
-  write_array<char>(folder.path / "regions.fbs", text(regions_schema));
-  std::error_code error;
-  std::filesystem::copy_file(file, folder.path / "regions.json", error);
-  if (error)
-    throw std::runtime_error(file.string() + ": the regions file cannot be read (" + error.message() + "); check the path.");
-  std::string why;
-  const auto keep = [&](const std::string& line) {
-    if (const size_t at = line.find("regions.json:"); at != std::string::npos) why = line.substr(at + 13);
-  };
-  const std::string output = folder.path.string();
-  const int status =
-      run_program({CRUMPLE_FLATC, "--binary", "-o", output, output + "/regions.fbs", output + "/regions.json"}, keep);
-  std::vector<uint8_t> bytes;
-  if (status == 0) bytes = read_array<uint8_t>(folder.path / "regions.bin");
-  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
-  if (bytes.empty() || !schema::VerifyPaintRegionsBuffer(verifier))
-    throw std::runtime_error(file.string() + ": the regions file is not what schema/regions.fbs describes" +
-                             (why.empty() ? "" : " (line " + why + ")") + "; the example there shows how it should look.");
-  return bytes;
+// FlatBuffers' own parser turns the JSON into a table. Its sentence begins with file and line.
+schema::PaintRegionsT parse_regions(const std::filesystem::path& file) {
+  std::string text;
+  if (!flatbuffers::LoadFile(file.c_str(), false, &text))
+    throw std::runtime_error(file.string() + ": the regions file cannot be read; check the path.");
+  flatbuffers::Parser parser;
+  if (!parser.Deserialize(regions_schema, static_cast<size_t>(regions_schema_end - regions_schema)))
+    throw std::runtime_error("the regions schema inside this program is damaged: build it again");
+  if (!parser.ParseJson(text.c_str(), file.c_str()))
+    throw std::runtime_error(parser.error_ + " (the form of a regions file: schema/regions.fbs, with an example).");
+  schema::PaintRegionsT regions;
+  flatbuffers::GetRoot<schema::PaintRegions>(parser.builder_.GetBufferPointer())->UnPackTo(&regions);
+  return regions;
 }
 
 struct Shape {
@@ -96,21 +88,21 @@ struct Shape {
 
 Vec3 vec3(const schema::Vec3& v) { return {v.x(), v.y(), v.z()}; }
 
-Shape read_shape(const schema::PaintRegion& region, const std::string& where) {
+Shape read_shape(const schema::PaintRegionT& region, const std::string& where) {
   const auto refuse = [&](const char* fact) { throw std::runtime_error(where + " " + fact); };
   Shape shape;
-  if (!region.box() == !region.sphere()) refuse("needs a box or a sphere, and only one of them.");
-  if (const auto* sphere = region.sphere()) {
-    shape.center = vec3(*sphere->center());
-    shape.radius = sphere->radius();
+  if (!region.box == !region.sphere) refuse("needs a box or a sphere, and only one of them.");
+  if (const auto& sphere = region.sphere) {
+    shape.center = vec3(*sphere->center);
+    shape.radius = sphere->radius;
     if (!(shape.radius > 0 && std::isfinite(shape.radius))) refuse("needs a sphere with a radius above zero, in metres.");
   }
-  if (const auto* box = region.box()) {
-    const Vec3 half = vec3(*box->half());
-    shape.center = vec3(*box->center());
+  if (const auto& box = region.box) {
+    const Vec3 half = vec3(*box->half);
+    shape.center = vec3(*box->center);
     if (!(half.minCoeff() > 0) || !half.allFinite()) refuse("needs a box with half extents above zero, in metres.");
     shape.box = Eigen::AlignedBox3f(-half, half);
-    if (const auto* q = box->orientation()) {
+    if (const auto& q = box->orientation) {
       shape.orientation = Eigen::Quaternionf(q->w(), q->x(), q->y(), q->z());
       if (!(std::abs(shape.orientation.norm() - 1) < 1e-3f)) refuse("needs an orientation that is a unit quaternion.");
       shape.orientation.normalize();
@@ -121,25 +113,22 @@ Shape read_shape(const schema::PaintRegion& region, const std::string& where) {
 }
 
 void paint_by_file(const TetMesh& mesh, const std::filesystem::path& file, Regions& regions, std::vector<std::string>& report) {
-  const std::vector<uint8_t> bytes = parse_regions(file);
-  const auto* list = schema::GetPaintRegions(bytes.data())->regions();
-  for (const auto* region : *list) {
-    const std::string name = region->name()->str();
-    const Shape shape = read_shape(*region, file.string() + ": region \"" + name + "\"");
-    const uint8_t index = region_index(regions, name, file.string());
+  for (const auto& region : parse_regions(file).regions) {
+    const Shape shape = read_shape(*region, file.string() + ": region \"" + region->name + "\"");
+    const uint8_t index = region_index(regions, region->name, file.string());
     size_t painted = 0;
     for (size_t i = 0; i < mesh.node.size(); ++i) {
       if (!shape.holds(mesh.node[i])) continue;
       regions.node_region[i] = index;
-      regions.node_anchored[i] = region->anchored();
+      regions.node_anchored[i] = region->anchored;
       ++painted;
     }
     if (painted == 0)
       throw std::runtime_error(
-          file.string() + ": region \"" + name +
+          file.string() + ": region \"" + region->name +
           "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
-    report.push_back("region \"" + name + "\": " + std::to_string(painted) + " nodes" +
-                     (region->anchored() ? ", anchored" : ""));
+    report.push_back("region \"" + region->name + "\": " + std::to_string(painted) + " nodes" +
+                     (region->anchored ? ", anchored" : ""));
   }
 }
 

@@ -57,7 +57,9 @@ TemporaryFolder::~TemporaryFolder() {
   std::filesystem::remove_all(path, ignored);
 }
 
-int run_program(const std::vector<std::string>& command, const OnLine& on_line) {
+int run_script(const std::string& text, const std::vector<std::string>& arguments, const OnLine& on_line) {
+  std::vector<std::string> command = {interpreter(), "-u", "-c", text};
+  command.insert(command.end(), arguments.begin(), arguments.end());
   pid_t child = 0;
   FILE* output = fdopen(start(command, child), "r");
   char* line = nullptr;
@@ -70,12 +72,6 @@ int run_program(const std::vector<std::string>& command, const OnLine& on_line) 
   while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-}
-
-int run_script(const std::string& text, const std::vector<std::string>& arguments, const OnLine& on_line) {
-  std::vector<std::string> command = {interpreter(), "-u", "-c", text};
-  command.insert(command.end(), arguments.begin(), arguments.end());
-  return run_program(command, on_line);
 }
 
 }  // namespace crumple

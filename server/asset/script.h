@@ -1,5 +1,5 @@
-// Runs programs of the project's Python environment in a child process: scripts, and flatc. Arrays pass through files in a
-// temporary folder; what the child prints comes back line by line.
+// Runs scripts in the project's Python environment, as a child process. Arrays pass through files in a temporary folder; what
+// the child prints comes back line by line.
 #pragma once
 
 #include <filesystem>
@@ -24,11 +24,8 @@ struct TemporaryFolder {
 // What a child prints comes here, a line of stdout or stderr at a time. Must not throw.
 using OnLine = std::function<void(const std::string&)>;
 
-// Runs a program and returns its exit status (128 + signal when it was killed). Throws std::runtime_error when it cannot start.
-int run_program(const std::vector<std::string>& command, const OnLine&);
-
-// The same for a script given as text. The interpreter is that of the build's Python environment, or CRUMPLE_PYTHON of the
-// environment.
+// Runs a script given as text and returns its exit status (128 + signal when it was killed). The interpreter is that of the
+// build's Python environment, or CRUMPLE_PYTHON of the environment. Throws std::runtime_error when it cannot start.
 int run_script(const std::string& text, const std::vector<std::string>& arguments, const OnLine&);
 
 template <class T>

@@ -426,9 +426,9 @@ double way_size(float quiet, const Scratch& scratch) {
 void prepare_nodal(const Model& model, const Parameters& parameters, const Body& body, Scratch& scratch) {
   const Blocks& blocks = *model.blocks;
   const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
-  constexpr size_t round = lanes / 4;  // quads
+  static_assert(lanes == 16);
   for (auto* list : {&scratch.node, &scratch.before, &scratch.rest, &scratch.direction}) {
-    list->assign((n + 1 + round - 1) / round * round, Quad{});
+    list->assign(quads_of_nodes(n), Quad{});
   }
   scratch.before[n].w = 1;  // what stands in unused lanes must not divide by zero
   scratch.stiffness.assign(padded + 1, Quad{});

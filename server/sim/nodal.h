@@ -29,6 +29,9 @@ inline constexpr double small_share = 0.05;
 // Sweeps that together are one step of the mixing, with moduli renewed before it.
 inline constexpr int sweeps_a_step = 2;
 
+// Of Scratch::node and a body's history: n + 1, padded to whole rounds of 16 floats.
+inline size_t quads_of_nodes(size_t n) { return (n + 4) / 4 * 4; }
+
 // Before the first sub-step of a tick: the car's state as the kernels want it.
 void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
 

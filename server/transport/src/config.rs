@@ -7,6 +7,8 @@ use serde_json::{Value, json};
 pub const MAX_MESSAGE: usize = 64 << 20;
 /// zenoh's headers on top
 const MAX_HEADERS: usize = 64 << 10;
+/// Brackets within brackets: json5 0.4 takes stack for each, and some 10,000 are the end of it. zenoh's keys need 8.
+const DEEPEST: usize = 100;
 
 pub fn build(
     mode: &str,
@@ -57,6 +59,11 @@ pub fn build(
         config["connect"]["exit_on_failure"] = json!(true);
     }
     if let Some(text) = overlay {
+        if depth(text) > DEEPEST {
+            return Err(bad(format!(
+                "the network configuration has over {DEEPEST} brackets within brackets: no key of zenoh has"
+            )));
+        }
         let laid: Value =
             json5::from_str(text).map_err(|e| bad(format!("the network configuration is not valid JSON5: {e}")))?;
         merge(&mut config, laid);
@@ -64,6 +71,20 @@ pub fn build(
     zenoh::Config::from_json5(&config.to_string()).map_err(|e| {
         bad(format!("zenoh refuses the network configuration: {e}; check endpoints (tcp/HOST:PORT) and the names of its keys"))
     })
+}
+
+/// Brackets in texts and comments count too: they close again there as well, or are few.
+fn depth(text: &str) -> usize {
+    let (mut now, mut most) = (0usize, 0);
+    for byte in text.bytes() {
+        match byte {
+            b'[' | b'{' => now += 1,
+            b']' | b'}' => now = now.saturating_sub(1),
+            _ => {}
+        }
+        most = most.max(now);
+    }
+    most
 }
 
 /// Objects are merged key by key; anything else is replaced.

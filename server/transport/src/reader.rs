@@ -122,11 +122,13 @@ impl Reader {
         while let Some(event) = self.stream.linear.next_event() {
             match event.map_err(|e| causes(&e))? {
                 LinearReadEvent::ReadRequest(need) => {
+                    // A record in a chunk may claim any length: room is made for no more than the file still has.
+                    let need = need.min(self.stream.file.limit() as usize).max(1);
                     let got = self.stream.file.read(self.stream.linear.insert(need)).map_err(|e| e.to_string())?;
                     self.stream.linear.notify_read(got);
                 }
                 LinearReadEvent::Record { data, opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE) } => {
-                    match mcap::parse_record(opcode, data).map_err(|e| causes(&e))? {
+                    match parse(opcode, data)? {
                         Record::Schema { header, data } => {
                             let schema = Schema { name: c_string(header.name), data: data.into_owned() };
                             self.schemas.insert(header.id, Rc::new(schema));
@@ -256,17 +258,13 @@ impl Contents {
 
     fn keep(&mut self, opcode: u8, body: &[u8]) -> Result<(), String> {
         if opcode == op::METADATA {
-            if let Record::Metadata(entry) = mcap::parse_record(opcode, body).map_err(|e| causes(&e))? {
+            if let Record::Metadata(entry) = parse(opcode, body)? {
                 let pairs = entry.metadata.into_iter().flat_map(|(key, value)| [c_string(key), c_string(value)]).collect();
                 self.metadata.push(Metadata { name: c_string(entry.name), pairs });
             }
             return Ok(());
         }
-        // mcap 0.26 slices body[..size - 4] of an attachment unchecked and would panic on a short one.
-        if !attachment_lengths_fit(body) {
-            return Err("an attachment's lengths do not fit its record".into());
-        }
-        if let Record::Attachment { header, data, .. } = mcap::parse_record(opcode, body).map_err(|e| causes(&e))? {
+        if let Record::Attachment { header, data, .. } = parse(opcode, body)? {
             let (name, media_type) = (c_string(header.name), c_string(header.media_type));
             self.attachments.push(Attachment { name, media_type, data: Aligned::copy(&data) });
         }
@@ -297,16 +295,51 @@ fn ends_in_magic(file: &mut BufReader<File>, length: u64) -> std::io::Result<boo
     Ok(tail == MAGIC)
 }
 
-/// log time u64, create time u64, name (u32 length, bytes), media type (likewise), data (u64 length, bytes), sum u32
-fn attachment_lengths_fit(body: &[u8]) -> bool {
-    let mut rest = body.get(16..).unwrap_or_default();
-    for _ in 0..2 {
-        let Some((length, after)) = rest.split_first_chunk::<4>() else { return false };
-        let Some(after) = after.get(u32::from_le_bytes(*length) as usize..) else { return false };
-        rest = after;
+/// mcap 0.26 makes room for as many bytes as a string says it has, up to 4 GiB, and slices `body[..size - 4]` of an attachment,
+/// before it looks whether they are there.
+fn lengths_fit(opcode: u8, body: &[u8]) -> bool {
+    let (numbers, strings) = match opcode {
+        op::SCHEMA => (2, 2),      // id; name, encoding
+        op::CHANNEL => (4, 2),     // id, schema; topic, encoding
+        op::ATTACHMENT => (16, 2), // log time, create time; name, media type
+        op::METADATA => (0, 1),    // name
+        _ => return true,
+    };
+    let rest = body.get(numbers..).and_then(|rest| after_strings(rest, strings));
+    match (opcode, rest) {
+        (_, None) => false,
+        (op::SCHEMA, _) => true, // its data is looked at
+        (op::ATTACHMENT, Some(rest)) => {
+            let length = rest.split_first_chunk::<8>(); // data and a sum of 4 bytes follow
+            length.is_some_and(|(length, after)| after.len() >= 4 && u64::from_le_bytes(*length) == after.len() as u64 - 4)
+        }
+        (_, Some(rest)) => {
+            // a map: its length, then keys and values until it is reached
+            let Some((length, mut rest)) = rest.split_first_chunk::<4>() else { return false };
+            let end = rest.len().saturating_sub(u32::from_le_bytes(*length) as usize);
+            while rest.len() > end {
+                let Some(after) = after_strings(rest, 2) else { return false };
+                rest = after;
+            }
+            true
+        }
     }
-    let Some((length, after)) = rest.split_first_chunk::<8>() else { return false };
-    after.len() >= 4 && u64::from_le_bytes(*length) == after.len() as u64 - 4
+}
+
+/// What follows `count` strings, each a u32 length and its bytes.
+fn after_strings(mut rest: &[u8], count: usize) -> Option<&[u8]> {
+    for _ in 0..count {
+        let (length, after) = rest.split_first_chunk::<4>()?;
+        rest = after.get(u32::from_le_bytes(*length) as usize..)?;
+    }
+    Some(rest)
+}
+
+fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
+    if !lengths_fit(opcode, body) {
+        return Err(format!("the lengths in a record of kind {opcode} do not fit it"));
+    }
+    mcap::parse_record(opcode, body).map_err(|e| causes(&e))
 }
 
 /// C strings end at the first zero byte; a name that holds one is shortened there.

@@ -1,0 +1,311 @@
+#include "command_line.h"
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <sstream>
+
+#include "bake_command.h"
+#include "cpp/drive.h"
+#include "cpp/watch.h"
+#include "export.h"
+#include "info.h"
+#include "recording.h"
+#include "recover.h"
+#include "replay.h"
+#include "serve.h"
+#include "transport/transport.h"
+
+namespace crumple {
+namespace {
+
+std::atomic<bool> stop{false};
+static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
+
+// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+void on_signal(int signal) {
+  stop = true;
+  std::signal(signal, SIG_DFL);
+}
+
+const CLI::Validator is_id(
+    [](std::string& text) -> std::string {
+      const bool good =
+          !text.empty() && text.size() <= 32 &&
+          text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-") == std::string::npos;
+      return good ? "" : "\"" + text + "\" is not an id: use 1 to 32 characters of a-z A-Z 0-9 _ -";
+    },
+    "ID");
+
+std::string read_file(const std::string& path) {
+  std::ifstream file(path);
+  if (!file || std::filesystem::is_directory(path))
+    throw CLI::FileError(path + ": cannot be read; is it there, and may this user read it?");
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+// Of every verb with a network. text: what the file holds.
+void add_network(CLI::App& verb, std::string& text, const char* example) {
+  const auto read = [&text](const std::string& path) {
+    if (path.empty()) return;
+    text = read_file(path);
+    if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
+  };
+  verb.add_option_function<std::string>(
+          "--network", read,
+          std::string("zenoh's own configuration, laid over ours: TLS, users, who may do what; see ") + example)
+      ->type_name("FILE.json5")
+      ->run_callback_for_default();  // which is empty: only so that --print-config shows it
+}
+
+// Options from a file, in the form that --print-config has; what the command line says stands. To be added last: options are
+// looked at in the order in which they were added, so what is wrong by then is the file's fault.
+void add_config(CLI::App& verb) {
+  const auto read = [&verb](const std::string& path) {
+    std::istringstream text(read_file(path));
+    try {
+      verb.parse_from_stream(text);
+    } catch (const CLI::Success&) {
+      throw;
+    } catch (const CLI::ParseError& error) {
+      throw CLI::FileError(path + ": " + error.what() + "; `crumple " + verb.get_name() +
+                           " --car CAR --print-config` shows every key and what it means");
+    }
+  };
+  verb.allow_config_extras(CLI::config_extras_mode::error);
+  verb.add_option_function<std::string>("--config", read, "takes options from this file, except those given here as well")
+      ->type_name("FILE.toml")
+      ->configurable(false);
+}
+
+using Verb = std::function<int()>;
+
+// Each of these adds one verb and gives back what it does.
+Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("bake", "Turns a surface mesh into a baked car: tetrahedra, constraints, skin, one file");
+  BakeOptions& bake = options.bake;
+  verb.add_option("INPUT", bake.input, "OBJ, glTF, GLB, STL, PLY, ...; or built-in: the car that this program makes itself")
+      ->required();
+  verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
+  verb.add_option("--nodes", options.nodes,
+                  "wanted number of nodes, met within 15 %; several, as in 1000,5000: levels of the car, in CAR-1000.car ...")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->check(CLI::Range(100, 200'000))
+      ->capture_default_str();
+  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")
+      ->check(CLI::ExistingFile);
+  verb.add_option("--regions", bake.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
+      ->check(CLI::ExistingFile);
+  verb.add_option("--mass", bake.mass, "kg")->check(CLI::Range(1.0, 100'000.0))->capture_default_str();
+  const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
+  verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
+      ->check(axes);
+  verb.add_option("--up", bake.import.up, "the input's axis that points up; default: as its format says")->check(axes);
+  verb.add_option("--scale", bake.import.scale, "metres in one unit of the input")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  verb.add_option("--name", bake.name, "default: the input's file name");
+  verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
+  verb.footer(
+      "Example: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'");
+  return [&options] { return bake_command(options); };
+}
+
+Verb add_serve(CLI::App& app, ServeOptions& options) {
+  CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
+  verb.add_option("--car", options.cars, "baked cars that may be spawned; those of the same surface are levels of one car")
+      ->required()
+      ->check(CLI::ExistingFile)
+      ->type_name("CAR");
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(is_id)->capture_default_str();
+  verb.add_option("--listen", options.listen,
+                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
+                  "network, by anyone unless --network says who")
+      ->capture_default_str();
+  verb.add_option(
+          "--connect", options.connect,
+          "instead of listening: endpoints of zenoh routers, comma separated; hosts and viewers connect to them as well")
+      ->type_name("ENDPOINTS");
+  verb.add_flag("--standby", options.standby,
+                "holds the world of the scene's server, tick by tick, and goes on in its place when it is gone");
+  add_network(verb, options.network, "server/network.json5");
+  verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
+  verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
+      ->check(CLI::Range(0, 256))
+      ->capture_default_str();
+  verb.add_option("--budget", options.budget_ms,
+                  "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
+                  "0: no limit")
+      ->check(CLI::NonNegativeNumber)
+      ->type_name("MS")
+      ->capture_default_str();
+  verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
+      ->check(CLI::Range(0.001, 100.0))
+      ->capture_default_str();
+  verb.add_option(
+          "--record", options.record,
+          "writes the session to this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
+          "a service that starts again keeps what it recorded before")
+      ->type_name("FILE.mcap");
+  verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
+      ->type_name("HOST:PORT");
+  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb.add_flag("--check-config", options.check, "says whether options, cars and network configuration are good; opens nothing")
+      ->configurable(false);
+  const CLI::Option* print = verb.add_flag("--print-config")
+                                 ->description("prints all options as a file for --config, with comments")
+                                 ->configurable(false);
+  add_config(verb);
+  verb.footer(
+      "Example: crumple serve --car m130.car --record today.mcap\n"
+      "A service: crumple serve --car m130.car --print-config > server.toml\n"
+      "           crumple serve --config server.toml");
+  return [&options, &verb, print] {
+    if (print->count() == 0) return serve(options, stop);
+    std::fputs(verb.config_to_str(true, true).c_str(), stdout);
+    return 0;
+  };
+}
+
+Verb add_drive(CLI::App& app, client::DriveOptions& options) {
+  CLI::App& verb = *app.add_subcommand("drive", "A scripted host: drives a car into things and says what became of it");
+  verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
+  verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
+  verb.add_option("--host", options.host, "id of this host")->check(is_id)->capture_default_str();
+  verb.add_option("--id", options.id, "id of the car that is spawned")->check(is_id)->capture_default_str();
+  verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
+  verb.add_flag("--leave", options.leave, "leaves the car in the scene");
+  verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");
+  return [&options] { return client::drive(options, stop); };
+}
+
+Verb add_watch(CLI::App& app, client::WatchOptions& options) {
+  CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
+  verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(is_id);
+  verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
+      ->check(CLI::Range(0, 1))
+      ->capture_default_str();
+  verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
+  verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
+  verb.add_option("--obj", options.obj, "writes the surface that is held at the end")->type_name("FILE.obj");
+  verb.footer("Example: crumple watch --seconds 10 --obj dented.obj");
+  return [&options] { return client::watch(options, stop); };
+}
+
+Verb add_replay(CLI::App& app, ReplayOptions& options) {
+  CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
+  verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
+  CLI::Option* verify =
+      verb.add_flag("--verify", options.verify, "feeds the inputs to a fresh world; fails at the first tick that differs");
+  CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
+  verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
+  verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
+  add_network(verb, options.network, "server/network.json5");
+  verb.add_option("--speed", options.speed, "of --publish: 1 is as it was")
+      ->needs(publish)
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
+  verb.add_option("--from", options.from, "of --publish: seconds to skip")->needs(publish)->check(CLI::NonNegativeNumber);
+  verb.add_flag("--loop", options.loop, "of --publish: again and again, until Ctrl-C")->needs(publish);
+  verb.footer(
+      "Examples: crumple replay recordings/*.mcap --verify\n          crumple replay today.mcap --publish --speed 0.1 --loop");
+  verb.callback([verify, publish] {
+    if (verify->empty() && publish->empty()) throw CLI::RequiredError("--verify or --publish");
+  });
+  return [&options] { return replay(options, stop); };
+}
+
+Verb add_info(CLI::App& app, std::vector<std::string>& files) {
+  CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
+  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(CLI::ExistingFile);
+  verb.footer("Example: crumple info recordings/pole.mcap");
+  return [&files] { return info(files); };
+}
+
+Verb add_recover(CLI::App& app, RecoverOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
+  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
+  verb.footer(
+      "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
+      "end.\n"
+      "Example: crumple recover killed.mcap -o whole.mcap");
+  return [&options] { return recover(options); };
+}
+
+Verb add_export(CLI::App& app, ExportOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
+  verb.add_option("FILE", options.file, "recording")->required()->check(CLI::ExistingFile);
+  verb.add_option("-o,--output", options.folder,
+                  "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
+      ->required()
+      ->type_name("FOLDER");
+  verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
+      ->check(CLI::Range(0.1, 1000.0))
+      ->capture_default_str();
+  verb.footer("Example: crumple export today.mcap -o today");
+  return [&options] { return export_recording(options); };
+}
+
+}  // namespace
+
+int run(int argc, const char* const* argv) {
+  BakeCommandOptions bake_options;
+  ServeOptions serve_options;
+  client::DriveOptions drive_options;
+  client::WatchOptions watch_options;
+  ReplayOptions replay_options;
+  std::vector<std::string> info_files;
+  RecoverOptions recover_options;
+  ExportOptions export_options;
+
+  CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
+  app.require_subcommand(1);
+  app.set_version_flag("--version", program_name);
+  app.footer(
+      "A session, each line in its own terminal:\n"
+      "  crumple bake built-in -o car.car\n"
+      "  crumple serve --car car.car --record today.mcap\n"
+      "  crumple watch\n"
+      "  crumple drive clients/scenes/pole.json --car car.car\n"
+      "then: crumple replay today.mcap --verify\n"
+      "Each verb explains itself: crumple VERB --help");
+  const std::vector<Verb> verbs = {add_bake(app, bake_options),       add_serve(app, serve_options),
+                                   add_drive(app, drive_options),     add_watch(app, watch_options),
+                                   add_replay(app, replay_options),   add_info(app, info_files),
+                                   add_recover(app, recover_options), add_export(app, export_options)};
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& asked) {  // --help, --version
+    return app.exit(asked);
+  } catch (const CLI::ParseError& error) {
+    const auto chosen = app.get_subcommands();
+    const std::string verb = chosen.empty() ? "" : " " + chosen.front()->get_name();
+    std::fprintf(stderr, "crumple%s: %s\nTry: crumple%s --help\n", verb.c_str(), error.what(), verb.c_str());
+    return 2;
+  }
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  const auto all = app.get_subcommands({});
+  for (size_t i = 0; i < verbs.size(); ++i)
+    if (all[i]->parsed()) return verbs[i]();
+  return 2;
+}
+
+}  // namespace crumple
