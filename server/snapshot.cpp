@@ -269,9 +269,9 @@ void load(Reader& file, World& world) {
   car.body = make_body(car.car->model);
   if (damaged) field(file, car.body);
   car.hashes[0] = hash(car.body);
-  for (size_t level = 0; level < car.told.size(); ++level) {
-    car.hashes[1 + 2 * level] = hash(car.told[level].keyframe);
-    car.hashes[2 + 2 * level] = hash(car.told[level].latest);
+  for (size_t k = 0; k < car.told.size(); ++k) {
+    car.hashes[1 + 2 * k] = hash(car.told[k].keyframe);
+    car.hashes[2 + 2 * k] = hash(car.told[k].latest);
   }
 }
 
