@@ -736,8 +736,8 @@ TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
       {"a velocity", [&](World&, Instance& c) { c.motion.velocity.x() = nan; }},
       {"an orientation", [](World&, Instance& c) { c.motion.pose.orientation.w() = 9; }},
       {"a mass", [](World&, Instance& c) { c.mass.mass = 0; }},
-      {"no keyframe", [](World&, Instance& c) { c.told.keyframe.clear(); }},
-      {"a keyframe of the future", [](World&, Instance& c) { c.told.keyframe_tick = 99; }},
+      {"no keyframe", [](World&, Instance& c) { c.told[1].keyframe.clear(); }},
+      {"a keyframe of the future", [](World&, Instance& c) { c.told[1].keyframe_tick = 99; }},
       {"a body without steps", [](World&, Instance& c) { c.body.step.clear(); }},
       {"a node", [&](World&, Instance& c) { c.body.node[1].x() = float(nan); }},
       {"the solver's steps: too short", [](World&, Instance& c) { c.body.history.residual[0].pop_back(); }},
@@ -755,7 +755,8 @@ TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
     ASSERT_GT(changed.car("a").body.history.count, 0);
     change(*changed.world, changed.car("a"));
     Instance& car = changed.car("a");
-    car.hashes = {hash(car.body), hash(car.told.keyframe), hash(car.told.latest)};
+    car.hashes = {hash(car.body), hash(car.told[0].keyframe), hash(car.told[0].latest), hash(car.told[1].keyframe),
+                  hash(car.told[1].latest)};
     const std::string why = refusal([&] { load_world(save_world(*changed.world), *copy.world); });
     EXPECT_NE(why.find("damaged: "), std::string::npos) << what;
     EXPECT_EQ(why.find("sum"), std::string::npos) << what;
