@@ -1,5 +1,7 @@
 // crumple_fuzz: one entry under libFuzzer, the one that the environment's ENTRY names. With --seeds FOLDER instead it writes
 // the entry's seeds there, with --entries the names of all.
+#include <unistd.h>
+
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -12,6 +14,7 @@ using namespace crumple::fuzz;
 
 namespace {
 const Entry* chosen = nullptr;
+int out = -1;  // stderr as it was before libFuzzer closed it for what is fuzzed
 
 int write_seeds(const std::string& folder) {
   size_t number = 0;
@@ -23,6 +26,7 @@ int write_seeds(const std::string& folder) {
 }  // namespace
 
 extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
+  out = dup(STDERR_FILENO);
   const bool list = *argc == 2 && std::strcmp((*argv)[1], "--entries") == 0;
   const char* name = std::getenv("ENTRY");
   for (const Entry& entry : entries()) {
@@ -42,7 +46,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   try {
     chosen->run({data, size});
   } catch (const Broken& broken) {
-    std::fprintf(stderr, "broken promise: %s\n", broken.promise.c_str());
+    dprintf(out, "broken promise: %s\n", broken.promise.c_str());
     std::abort();
   }
   return 0;
