@@ -4,6 +4,7 @@
 
 #include "cpp/session.h"
 #include "fuzz/small_world.h"
+#include "fuzz/surface.h"
 #include "schema/message_generated.h"
 #include "wire/encode.h"
 #include "wire/surface.h"
@@ -16,7 +17,7 @@ constexpr uint64_t answer_ticket = 1, keyframe_ticket = 2, asset_ticket = 3;
 
 const std::string root = "crumple/1/main/";
 
-// which: bit 0 the car, bit 7 whether a reply is an error.
+// which: bit 0 the car, bit 1 (of surfaces) whether the hash is made to fit, bit 7 whether a reply is an error.
 NetEvent event_of(const Part& part, std::string& key) {
   NetEvent event{};
   event.data = part.bytes.data();
@@ -105,14 +106,19 @@ bool client_run(Input input) {
   Crumple session;  // without a network: what it asks for fails
   session.root = root;
   session.follows_all = true;
-  for (const Part& part : parts_of(input)) {
+  for (Part& part : parts_of(input)) {
+    const uint8_t kind = part.kind % kinds;
+    if (part.which & 2 && (kind == keyframe || kind == delta || kind == keyframe_reply)) {
+      const client::FollowedCar& car = session.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
+      fit_hash(kind != delta, car.fresh ? client::Surface() : car.surface, part.bytes);
+    }
     session.answers[answer_ticket];
     session.key_tickets[keyframe_ticket] = "c0";
     // The asset that these bytes are: what a hash names is what it says.
     char hash[17];
     std::snprintf(hash, sizeof hash, "%016llx",
                   static_cast<unsigned long long>(XXH64(part.bytes.data(), part.bytes.size(), 0)));
-    if (part.kind % kinds == asset) session.asset_tickets[asset_ticket] = hash;
+    if (kind == asset) session.asset_tickets[asset_ticket] = hash;
     std::string key;
     client::take(session, event_of(part, key));
   }
