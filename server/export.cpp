@@ -142,7 +142,7 @@ Shown begin(const std::string& id, Actor& actor, double time, const Export& out)
   shown.quantum = actor.surface.quantum;
   for (const auto& car : out.file.head().cars)
     if (car->hash == actor.surface.asset) shown.car = car;
-  if (!shown.car || actor.surface.quanta.size() != 3 * shown.car->skin_node.size())
+  if (!shown.car)
     throw std::runtime_error(out.options.file + ": car " + id + " is made of " + actor.surface.asset +
                              ", and no such baked car is in the file");
   const auto& nodes = shown.car->skin_node;
@@ -177,6 +177,9 @@ void show(const std::string& id, Actor& actor, uint64_t tick, double time, Expor
   const bool first = !actor.shown;
   if (first) actor.shown = begin(id, actor, time, out);
   Shown& shown = *actor.shown;
+  if (surface.quanta.size() != 3 * shown.car->skin_node.size())
+    throw std::runtime_error(out.options.file + ": tick " + std::to_string(tick) + ": the surface of car " + id +
+                             " has not as many nodes as the skin of its asset");
   const bool changed = first || shown.last != surface.quanta;
   Animation::Key key{time - shown.from, actor.pose, first ? 0 : shown.keys.back().shape};
   if (changed) {

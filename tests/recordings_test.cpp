@@ -14,6 +14,7 @@
 #include "program.h"
 #include "schema/message_generated.h"
 #include "transport/transport.h"
+#include "wire/surface.h"
 
 namespace crumple {
 namespace {
@@ -573,6 +574,24 @@ TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
       EXPECT_NEAR(body.mAnimMeshes[body.mNumAnimMeshes - 1]->mVertices[v][axis],
                   mesh.vertex[3 * v + axis] + moved[3 * v + axis], 1e-6f)
           << "vertex " << v;
+}
+
+// A keyframe says how many nodes it has, and its own hash of them is right.
+TEST_F(Recorded, ExportRefusesASurfaceThatLosesItsNodes) {
+  const std::string source = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
+  int keyframes = 0;
+  copy(source, path("hostile.mcap"), nullptr, [&](Message& message) {
+    if (!message.is("Keyframe") || ++keyframes == 1) return true;
+    const auto* keyframe = message.as<schema::Keyframe>();
+    const Bytes bytes =
+        encode_keyframe({keyframe->tick(), keyframe->asset()->str(), keyframe->quantum()}, std::vector<int16_t>{1, 2, 3}).at(0);
+    message.data.assign(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+    return true;
+  });
+  ASSERT_GT(keyframes, 1);
+  const Outcome outcome = run({"export", path("hostile.mcap"), "-o", path("film")});
+  EXPECT_EQ(outcome.code, 1);
+  EXPECT_NE(outcome.text.find("as many nodes as the skin"), std::string::npos) << outcome.text;
 }
 
 }  // namespace
