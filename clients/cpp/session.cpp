@@ -41,12 +41,18 @@ CrumplePose pose_of(const schema::Pose& pose) {
 void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car) {
   if (car.asking) return;
   const std::string key = session.root + "car/" + id + "/key";
-  const auto timeout = static_cast<uint32_t>(session.timeout.count());
-  if (net_get(session.net, key.c_str(), nullptr, 0, timeout, &car.asking) != 0) return;
-  session.key_tickets[car.asking] = id;
   car.asked = Clock::now();
+  car.owed = true;
+  if (net_get(session.net, key.c_str(), nullptr, 0, keyframe_ms, &car.asking) != 0) return;
+  session.key_tickets[car.asking] = id;
   car.unsure = false;
   ++session.statistics.asked;
+}
+
+// What was asked before tells nothing about now, if it is answered at all.
+void forget_question(Crumple& session, FollowedCar& car) {
+  session.key_tickets.erase(car.asking);
+  car.asking = 0;
 }
 
 void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
@@ -80,6 +86,7 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
     if (outcome.applied == Applied::whole || outcome.applied == Applied::part) {
       car.surface = std::move(empty);
       car.fresh = false;
+      car.owed &= !asked_for;
       car.dirty |= outcome.applied == Applied::whole;
     } else {
       ++session.statistics.refused;
@@ -89,6 +96,7 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
   if (asked_for) car.surface.key_parts = {};
   const Outcome outcome = keyframe ? apply_keyframe(bytes, car.surface) : apply_delta(bytes, car.surface);
   car.unsure = !asked_for;
+  car.owed &= !asked_for || outcome.applied == Applied::refused;
   switch (outcome.applied) {
     case Applied::whole:
       car.dirty = true;
@@ -299,15 +307,30 @@ void end_ticket(Crumple& session, uint64_t ticket) {
   }
 }
 
+// They are told once, and the line may have been away then. A server that has them already drops them by their number.
+void send_obstacles_again(Crumple& session) {
+  if (session.obstacles.empty()) return;
+  const std::string key = session.root + "host/" + session.host + "/obstacles";
+  net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_HIGH);
+}
+
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {
-  if (key == "server") session.server_alive = alive;
+  if (key == "server") {
+    session.server_alive = alive;
+    if (alive) send_obstacles_again(session);
+  }
   const std::string_view id = car_of(key);
   FollowedCar* car = id.empty() ? nullptr : followed(session, id);
   if (!car) return;
+  const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // before its token came
   car->alive = alive;
   car->doubtful = false;  // a new one is asked for its keyframe anyway
+  if (asked) return;
   car->fresh = true;
-  if (alive) ask_for_keyframe(session, std::string(id), *car);
+  if (alive)
+    ask_for_keyframe(session, std::string(id), *car);
+  else
+    forget_question(session, *car);  // whoever is there next has not heard it
 }
 
 void take(Crumple& session, const NetEvent& event) {
@@ -332,8 +355,8 @@ void take(Crumple& session, const NetEvent& event) {
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
   for (auto& [id, car] : session.cars) {
-    const bool doubtful = car.doubtful && car.alive && now - car.asked > silence;
-    if (doubtful || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
+    const bool unanswered = (car.doubtful || car.owed) && car.alive && now - car.asked > silence;
+    if (unanswered || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
   }
 }
 
@@ -343,8 +366,7 @@ void doubt_after_a_pause(Crumple& session) {
   if (now - std::exchange(session.polled, now) < unpolled) return;
   for (auto& [id, car] : session.cars) {
     if (!car.alive || car.surface.quanta.empty()) continue;
-    session.key_tickets.erase(car.asking);  // asked before the pause
-    car.asking = 0;
+    forget_question(session, car);
     car.asked = {};
     car.doubtful = true;
   }
@@ -455,7 +477,7 @@ int crumple_follow(Crumple* session, const char* car) {
   for (const char* what : {"/key", "/delta/0"})
     if (net_subscribe(session->net, (base + what).c_str(), 4096) != 0) return fail(CRUMPLE_CLOSED, transport_error());
   if (net_watch(session->net, base.c_str()) != 0) return fail(CRUMPLE_CLOSED, transport_error());
-  if (car) session->cars.try_emplace(car);
+  if (car) ask_for_keyframe(*session, car, session->cars[car]);  // sooner than its token can come
   return CRUMPLE_OK;
 }
 

@@ -17,7 +17,7 @@ use std::time::Duration;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
 use zenoh::pubsub::Publisher;
-use zenoh::qos::{CongestionControl, Priority};
+use zenoh::qos::{CongestionControl, Priority, Reliability};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
@@ -102,7 +102,8 @@ impl Net {
             };
             Fail::new(IO, format!("cannot {verb} {}: {remedy} ({e})", ends.join(", ")))
         })?;
-        let endpoint = session.info().locators().wait().first().map(|locator| locator.to_string()).unwrap_or_default();
+        let mut endpoints: Vec<String> = session.info().locators().wait().iter().map(|locator| locator.to_string()).collect();
+        endpoints.sort();
         let shared = Arc::new(Shared {
             inbox: Inbox::new(MAX_REPLIES),
             open_queries: Mutex::default(),
@@ -120,7 +121,7 @@ impl Net {
         };
         Ok(Net {
             session,
-            endpoint: CString::new(endpoint).unwrap_or_default(),
+            endpoint: CString::new(endpoints.join(",")).unwrap_or_default(),
             shared,
             sent: Sent::default(),
             puts,
@@ -315,6 +316,8 @@ fn publisher<'a>(
             .declare_publisher(key.name.clone())
             .congestion_control(CongestionControl::Drop)
             .priority(priority)
+            // where a link has both, datagrams carry what the next one makes good
+            .reliability(if priority == Priority::InteractiveHigh { Reliability::Reliable } else { Reliability::BestEffort })
             .express(priority == Priority::RealTime) // not batched with what follows
             .allowed_destination(Locality::Remote)
             .wait();
