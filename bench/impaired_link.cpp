@@ -64,6 +64,7 @@ struct Way {
   std::deque<Packet> packets;  // by due
   size_t waiting = 0;          // bytes
   Clock::time_point free{};    // when the wire is, of a rate limit
+  Clock::time_point last{};    // due, of all so far
   bool ended = false, blocked = false;
 };
 
@@ -133,14 +134,14 @@ struct ImpairedLink::Proxy {
         packet.due += milliseconds(timeout);
         ++counts.lost;
       }
-      if (!way.packets.empty()) packet.due = std::max(packet.due, way.packets.back().due);
     } else if (happens(weather.loss) || way.waiting + size > capacity()) {
       ++counts.lost;
       return;
-    } else if (happens(weather.reorder)) {
-      packet.due = way.free;
-      ++counts.reordered;
     }
+    const bool overtakes = datagrams && happens(weather.reorder);
+    counts.reordered += overtakes;
+    packet.due = overtakes ? way.free : std::max(packet.due, way.last);
+    way.last = std::max(way.last, packet.due);
     const bool twice = datagrams && happens(weather.repeat);
     counts.repeated += twice;
     const auto after = [](Clock::time_point due, const Packet& other) { return due < other.due; };

@@ -10,7 +10,7 @@
 namespace crumple {
 
 struct Weather {
-  double delay = 0, jitter = 0;  // ms, one way: delay +- jitter
+  double delay = 0, jitter = 0;  // ms, one way: delay +- jitter; the order stays
   double loss = 0;               // share of segments (1448 bytes) or datagrams
   double damage = 0;             // share of segments or datagrams in which a bit is flipped
   double repeat = 0;             // share of datagrams that arrive twice

@@ -28,14 +28,14 @@ class Links : public Program {
  protected:
   // One that listens on TCP and UDP, the first at `endpoint`.
   void start_on_both() {
-    start({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0,udp/127.0.0.1:0?rel=1;mixed_rel=1"});
+    start({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0,udp/127.0.0.1:0?rel=1"});
     const size_t at = server->text.find(",udp/") + 1;
     ASSERT_NE(at, 0u) << server->text;
     datagrams = server->text.substr(at, server->text.find_first_of(",?", at) - at);
   }
   Crumple* open_through(const ImpairedLink& link, const char* host = nullptr) {
     const bool udp = link.endpoint().starts_with("udp/");
-    const std::string direct = std::exchange(endpoint, link.endpoint() + (udp ? "?rel=1;mixed_rel=1" : ""));
+    const std::string direct = std::exchange(endpoint, link.endpoint() + (udp ? "?rel=1" : ""));
     Crumple* session = open(host);
     endpoint = direct;
     return session;
@@ -73,7 +73,7 @@ TEST_F(Links, EveryViewerThroughABadLinkEndsWithTheServersSurface) {
       {"10 %, 300 ms, 500 kbit", false, {.delay = 300, .jitter = 100, .loss = 0.1, .kbit = 500}},
       {"damaged", false, {.delay = 5, .damage = 0.1}},
       {"UDP, 20 %, 50 ms", true, {.delay = 50, .loss = 0.2}},
-      {"UDP, overtaken and repeated", true, {.delay = 30, .jitter = 10, .repeat = 0.25, .reorder = 0.25}},
+      {"UDP, overtaken and repeated", true, {.delay = 30, .repeat = 0.25, .reorder = 0.25}},
       {"UDP, damaged", true, {.delay = 5, .damage = 0.1}},
   };
   Crumple* host = open("tester");
@@ -266,7 +266,7 @@ TEST_F(Links, AServerAndAViewerWaitForARouterThatIsNotThereYet) {
 TEST_F(Links, PlainDatagramsAreRefusedWithWhatToWrite) {
   Net* net = nullptr;
   EXPECT_LT(net_open("peer", "tcp/127.0.0.1:0,udp/127.0.0.1:0", nullptr, nullptr, 0, &net), 0);
-  EXPECT_NE(std::string(transport_error()).find("udp/127.0.0.1:0?rel=1;mixed_rel=1"), std::string::npos) << transport_error();
+  EXPECT_NE(std::string(transport_error()).find("udp/127.0.0.1:0?rel=1"), std::string::npos) << transport_error();
 }
 
 }  // namespace

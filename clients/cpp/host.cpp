@@ -37,10 +37,10 @@ schema::Pose pose_of(const CrumplePose& pose) {
   return {schema::Vec3d(p[0], p[1], p[2]), schema::Quat(q[0], q[1], q[2], q[3])};
 }
 
-int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder& builder, NetPriority priority) {
+int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder& builder) {
   if (session.host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
   const std::string key = session.root + "host/" + session.host + "/" + what;
-  const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), priority);
+  const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), NET_REAL_TIME);
   if (status == TRANSPORT_DROPPED) return fail(CRUMPLE_DROPPED, transport_error());
   return status == 0 ? CRUMPLE_OK : fail(CRUMPLE_CLOSED, transport_error());
 }
@@ -164,7 +164,7 @@ int crumple_publish_poses(Crumple* session, double time, const CrumpleCarPose* c
     list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen, importance));
   }
   builder.Finish(schema::CreatePosesDirect(builder, ++session->sequence, time, &list));
-  return put(*session, "poses", builder, NET_REAL_TIME);
+  return put(*session, "poses", builder);
 }
 
 int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles, size_t count) {
@@ -184,7 +184,7 @@ int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles
   }
   builder.Finish(schema::CreateObstaclesDirect(builder, ++session->sequence, &list));
   session->obstacles.assign(builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize());
-  return put(*session, "obstacles", builder, NET_HIGH);
+  return put(*session, "obstacles", builder);
 }
 
 size_t crumple_take_reactions(Crumple* session, CrumpleReaction* out, size_t capacity) {

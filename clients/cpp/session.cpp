@@ -311,7 +311,7 @@ void end_ticket(Crumple& session, uint64_t ticket) {
 void send_obstacles_again(Crumple& session) {
   if (session.obstacles.empty()) return;
   const std::string key = session.root + "host/" + session.host + "/obstacles";
-  net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_HIGH);
+  net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_REAL_TIME);
 }
 
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {

@@ -30,7 +30,7 @@ const char* transport_version(void);
 typedef struct Net Net;
 
 // mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447" or
-// "udp/127.0.0.1:7447?rel=1;mixed_rel=1" (QUIC: what must not be lost is sent again), comma separated, or NULL. config: JSON5 of
+// "udp/127.0.0.1:7447?rel=1" (QUIC: what is lost is sent again), comma separated, or NULL. config: JSON5 of
 // zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16 batches a queue,
 // 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns its port by
 // net_endpoint. Waits up to timeout_ms for a client's first connection; one that is lost comes back by itself.
@@ -42,8 +42,7 @@ const char* net_endpoint(const Net*);
 // Undeclares everything, joins all threads.
 void net_close(Net*);
 
-// zenoh's. On a link of datagrams (udp/...?rel=1;mixed_rel=1) samples may be lost and overtake each other, but for NET_HIGH.
-enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };
+enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's
 
 // Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept.
 // A session does not hear its own samples and questions; it does see its own announcements.

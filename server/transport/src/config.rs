@@ -28,10 +28,12 @@ pub fn build(
         "peer" | "client" | "router" => {}
         other => return Err(bad(format!("mode is \"{other}\"; it must be \"peer\", \"client\" or \"router\""))),
     }
-    // QUIC repeats what must not be lost; on plain datagrams zenoh repeats nothing, so that a lost declaration is lost for good.
-    if let Some(plain) = listen.iter().chain(connect).find(|it| it.starts_with("udp/") && !it.contains("rel=1")) {
-        let at = plain.split(['?', '#']).next().unwrap_or_default();
-        return Err(bad(format!("{plain} would lose declarations for good: write {at}?rel=1;mixed_rel=1, at both ends")));
+    // On plain datagrams zenoh sends nothing again: a declaration that is lost is lost for good. rel=1 is QUIC. Its mixed_rel=1
+    // (samples as datagrams) was tried: at a loss of 2 % the slowest surface took 0.74 s instead of 0.04 s.
+    let plain = |it: &&&str| it.starts_with("udp/") && !it.split(['?', ';', '#']).any(|part| part == "rel=1");
+    if let Some(endpoint) = listen.iter().chain(connect).find(plain) {
+        let at = endpoint.split(['?', '#']).next().unwrap_or_default();
+        return Err(bad(format!("{endpoint} would lose declarations for good: write {at}?rel=1, at both ends")));
     }
     let mut config = json!({
         "mode": mode,

@@ -17,7 +17,7 @@ use std::time::Duration;
 use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
 use zenoh::pubsub::Publisher;
-use zenoh::qos::{CongestionControl, Priority, Reliability};
+use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
@@ -316,8 +316,6 @@ fn publisher<'a>(
             .declare_publisher(key.name.clone())
             .congestion_control(CongestionControl::Drop)
             .priority(priority)
-            // where a link has both, datagrams carry what the next one makes good
-            .reliability(if priority == Priority::InteractiveHigh { Reliability::Reliable } else { Reliability::BestEffort })
             .express(priority == Priority::RealTime) // not batched with what follows
             .allowed_destination(Locality::Remote)
             .wait();
