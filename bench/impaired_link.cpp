@@ -129,7 +129,7 @@ struct ImpairedLink::Proxy {
       ++counts.damaged;
     }
     if (!datagrams) {
-      double timeout = std::max(least_timeout, 2 * weather.delay + 4 * weather.jitter);
+      double timeout = std::max(least_timeout, 2 * weather.delay);
       for (; size > 0 && happens(weather.loss) && timeout < 60'000; timeout *= 2) {
         packet.due += milliseconds(timeout);
         ++counts.lost;
