@@ -192,10 +192,11 @@ class Table {
       : file_(std::fopen(options.csv.c_str(), "w"), std::fclose), diagonal_(diagonal) {
     if (!file_) throw std::runtime_error(options.csv + ": cannot be written; name a folder that exists and can be written.");
     about_ = '"' + machine() + "\"," + options.commit + ",0";
-    std::fprintf(file_.get(),
-                 "machine,commit,seed,scene,nodes,iterations,threads,substeps,tolerance,budget,importance,us_best,cars_per_tick,work,"
-                 "shed,error_mm,"
-                 "max_mm,error_percent,diagonal_percent,hash\n");
+    std::fprintf(
+        file_.get(),
+        "machine,commit,seed,scene,nodes,iterations,threads,substeps,tolerance,budget,importance,us_best,cars_per_tick,work,"
+        "shed,error_mm,"
+        "max_mm,error_percent,diagonal_percent,hash\n");
   }
   void add(const Row& row) {
     std::fprintf(file_.get(), "%s,\"%s\",%zu,%d,%d,%d", about_.c_str(), row.scene.c_str(), row.nodes, row.sweeps, row.threads,

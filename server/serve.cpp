@@ -181,7 +181,6 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
     const auto epoch = stand_by(server.net, {server.root, server.owner.id, server.threads}, *server.world, stop);
     if (!epoch) return false;
     server.owner.epoch = *epoch;
-    need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
     return true;
   }
   need(net_watch(server.net, (server.root + "owner/*").c_str()));

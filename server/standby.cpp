@@ -282,6 +282,8 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
       ask_for_world(standby, 0);
   }
   if (stop) return std::nullopt;
+  // In this order: of others that stand by the next one would take over as soon as this one does not.
+  need(net_announce(net, (options.root + token_of({standby.epoch + 1, options.id})).c_str()));
   need(net_retract(net, (options.root + "standby/" + standby.name).c_str()));
   if (standby.epoch > 0) {
     std::printf("takes over at tick %llu, %zu cars, after %llu ticks beside the owner%s\n",

@@ -64,9 +64,9 @@ struct StandbyOptions {
   std::string id;
   int threads = 1;
 };
-// Until the owner is gone and this server is the one to take over: then the epoch to take over with, and `world` is as the
-// owner's was. Nothing if `stop` came first. Says on stdout what happens. Throws std::runtime_error: the session is broken, or
-// the owner's world cannot be held here.
+// Until the owner is gone and this server is the one to take over: then the epoch with which it has announced itself as the
+// owner, and `world` is as the owner's was. Nothing if `stop` came first. Says on stdout what happens. Throws
+// std::runtime_error: the session is broken, or the owner's world cannot be held here.
 std::optional<uint64_t> stand_by(Net*, const StandbyOptions&, World& world, const std::atomic<bool>& stop);
 
 }  // namespace crumple

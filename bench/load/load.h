@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include "impaired_link.h"
+
 namespace crumple::load {
 
 inline constexpr const char* scene = "load";
@@ -25,6 +27,13 @@ struct Options {
   double importance = 1;                      // of crashing cars, which chooses their level
   uint32_t viewers = 4, follow = 5, far = 0;  // far: viewers, the last of them, that follow all cars on surface level 1
   uint32_t frozen = 0, killed = 0, late = 0;  // viewers
+  Weather weather;                            // of the viewers' links, each of its own, if any of these is given
+  bool udp = false;
+  double cut = 0;  // s that the viewers' links are cut for, at a half of the time
+  bool impaired() const {
+    const Weather& w = weather;
+    return udp || cut > 0 || w.delay + w.jitter + w.loss + w.damage + w.repeat + w.reorder + w.kbit > 0;
+  }
 };
 
 // "c7": the crashing cars; "d7": those that drive; "a7": those asleep.
@@ -67,6 +76,8 @@ struct ViewerRun {
 };
 struct Run {
   uint64_t begin_ns = 0, end_ns = 0;  // of the load
+  uint64_t cut_ns = 0, back_ns = 0;   // of the viewers' links
+  ImpairedLink::Counts packets;       // over them
   std::string recording;
   std::vector<Sample> samples;
   std::vector<ViewerRun> viewers;

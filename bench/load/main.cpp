@@ -8,6 +8,7 @@
 #include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <memory>
 #include <sstream>
 #include <thread>
 
@@ -20,8 +21,10 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr double calm = 3;        // s from the last pose until all is compared: a crash rings for one
-constexpr double frozen = 3;      // s
+constexpr double calm = 3;       // s from the last pose until all is compared: a crash rings for one
+constexpr double calm_far = 10;  // the same over impaired links: a lost connection is noticed after 3 s and made anew in 3 s
+constexpr double frozen = 3;     // s
+constexpr const char* datagrams = "?rel=1";
 constexpr double patience = 120;  // s for the server to start and take all cars
 
 std::atomic<bool> interrupted{false};
@@ -99,10 +102,12 @@ void sleep_until(Clock::time_point when) {
     std::this_thread::sleep_for(std::min<Clock::duration>(when - Clock::now(), std::chrono::milliseconds(50)));
 }
 
+// The server's endpoints, comma separated: by TCP, and by UDP if that is wanted.
 std::string start_server(const Options& options, const std::string& recording, Process& server) {
   std::vector<std::string> words = {options.program,   "serve",    "--scene", scene,  "--listen",
                                     "tcp/127.0.0.1:0", "--record", recording, "--car"};
   words.insert(words.end(), options.cars.begin(), options.cars.end());
+  if (options.udp) words[5] += ",udp/127.0.0.1:0" + std::string(datagrams);
   std::istringstream further(options.serve);
   for (std::string word; further >> word;) words.push_back(word);
   const std::string log = options.folder + "/server.log";
@@ -111,8 +116,8 @@ std::string start_server(const Options& options, const std::string& recording, P
   while (Clock::now() < until && !interrupted) {
     std::this_thread::sleep_for(std::chrono::milliseconds(50));
     const std::string text = text_of(log);
-    const size_t at = text.find("tcp/");
-    if (at != std::string::npos && text.find(',', at) != std::string::npos) return text.substr(at, text.find(',', at) - at);
+    const size_t at = text.find("tcp/"), end = text.find(", ", at);
+    if (at != std::string::npos && end != std::string::npos) return text.substr(at, end - at);
     if (!server.alive()) throw std::runtime_error("load: the server did not start: " + text);
   }
   throw std::runtime_error("load: the server did not say where it listens; see " + log);
@@ -122,7 +127,8 @@ std::string start_server(const Options& options, const std::string& recording, P
 struct Stage {
   const Options& options;
   Process server;
-  std::string endpoint;
+  std::string endpoint, viewers_endpoint;
+  std::unique_ptr<ImpairedLink> link;  // the viewers'
   std::vector<Process> viewers;
   std::atomic<uint32_t> ready{0};
   std::atomic<bool> go{false}, stop{false};
@@ -178,8 +184,8 @@ void start_viewer(Stage& stage, const std::string& part, uint32_t number) {
   viewer.part = part;
   viewer.file = options.folder + "/viewer" + std::to_string(stage.viewers.size()) + ".csv";
   const bool is_far = part == "far";
-  std::vector<std::string> words = {"/proc/self/exe", "--view",  viewer.file,        "--connect",
-                                    stage.endpoint,   "--level", is_far ? "1" : "0", "--follow"};
+  std::vector<std::string> words = {"/proc/self/exe",       "--view",  viewer.file,        "--connect",
+                                    stage.viewers_endpoint, "--level", is_far ? "1" : "0", "--follow"};
   for (uint32_t k = 0; k < (is_far ? options.crashing : std::min(options.follow, options.crashing)); ++k)
     viewer.cars.push_back(car_id('c', (number * options.follow + k) % options.crashing));
   words.insert(words.end(), viewer.cars.begin(), viewer.cars.end());
@@ -187,7 +193,17 @@ void start_viewer(Stage& stage, const std::string& part, uint32_t number) {
   stage.run.viewers.push_back(viewer);
 }
 
-// Freezes, kills and late joins, at fixed shares of the time.
+// Splits what the server listens on, and sets the viewers' links up if they are impaired.
+void open_links(Stage& stage, const std::string& endpoints) {
+  const size_t comma = endpoints.find(',');
+  stage.endpoint = stage.viewers_endpoint = endpoints.substr(0, comma);
+  if (!stage.options.impaired()) return;
+  const std::string to = stage.options.udp ? endpoints.substr(comma + 1, endpoints.find('?') - comma - 1) : stage.endpoint;
+  stage.link = std::make_unique<ImpairedLink>(to, stage.options.weather);
+  stage.viewers_endpoint = stage.link->endpoint() + (stage.options.udp ? datagrams : "");
+}
+
+// Freezes, kills, cuts and late joins, at fixed shares of the time.
 void disturb(Stage& stage, double time) {
   const Options& options = stage.options;
   const auto passed = [&, last = time - 1](double when) { return last < when && when <= time; };
@@ -206,7 +222,15 @@ void disturb(Stage& stage, double time) {
       start_viewer(stage, "late", k);
     }
   }
-  if (passed(join_at))
+  if (options.cut > 0 && passed(kill_at)) {
+    stage.run.cut_ns = wall_ns();
+    stage.link->set(LinkState::cut);
+  }
+  if (options.cut > 0 && passed(kill_at + options.cut)) {
+    stage.run.back_ns = wall_ns();
+    stage.link->set(LinkState::up);
+  }
+  if (passed(join_at + std::ceil(options.cut)))
     for (uint32_t k = 0; k < options.late; ++k) start_viewer(stage, "late", options.viewers + k);
 }
 
@@ -277,7 +301,7 @@ int play(const Options& options) {
   const auto car = load_car(options.cars.front());
   Stage stage(options);
   stage.run.recording = options.folder + "/load.mcap";
-  stage.endpoint = start_server(options, stage.run.recording, stage.server);
+  open_links(stage, start_server(options, stage.run.recording, stage.server));
   std::printf(
       "%u cars of %zu nodes: %u crash at once every %g s at %g km/h, %u drive, %u sleep; %u hosts, %u viewers of %u cars\n",
       options.asleep + options.driving + options.crashing, car->model.node.size(), options.crashing, options.period,
@@ -296,8 +320,10 @@ int play(const Options& options) {
   watch_over(stage);
   stage.end_hosts();
   check(stage);
-  sleep_until(Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(calm)));
+  sleep_until(Clock::now() +
+              std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(stage.link ? calm_far : calm)));
   for (int level : {0, 1}) ask_for_truth(stage, level);
+  if (stage.link) stage.run.packets = stage.link->counts();
   for (size_t k = 0; k < stage.viewers.size(); ++k)
     if (stage.viewers[k].id > 0 && stage.viewers[k].end(SIGTERM) != 0)
       throw std::runtime_error("load: a viewer failed: " + text_of(stage.run.viewers[k].file + ".log"));
@@ -344,6 +370,14 @@ int run(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--killed", options.killed, "viewers that are killed half-way; others come for them")->capture_default_str();
   app.add_option("--late", options.late, "further viewers that come late")->capture_default_str();
+  Weather& weather = options.weather;
+  app.add_option("--delay", weather.delay, "of the viewers' links, one way, ms")->check(CLI::Range(0.0, 10'000.0));
+  app.add_option("--jitter", weather.jitter, "of the delay, +- ms")->check(CLI::Range(0.0, 10'000.0));
+  app.add_option("--loss", weather.loss, "share of packets that the viewers' links lose")->check(CLI::Range(0.0, 0.9));
+  app.add_option("--reorder", weather.reorder, "share of datagrams that overtake")->check(CLI::Range(0.0, 1.0));
+  app.add_option("--kbit", weather.kbit, "a second and viewer; 0: no limit")->check(CLI::NonNegativeNumber);
+  app.add_option("--cut", options.cut, "seconds that all viewers' links are cut for, half-way")->check(CLI::Range(0.0, 60.0));
+  app.add_flag("--udp", options.udp, "viewers come by UDP");
   try {
     app.parse(argc, argv);
     if (options.cars.empty()) throw CLI::RequiredError("--car");

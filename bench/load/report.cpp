@@ -15,6 +15,7 @@
 namespace crumple::load {
 namespace {
 
+constexpr uint64_t cut_margin_ns = 3'000'000'000;
 constexpr double current = 100;  // ms: a surface that was superseded no longer ago is current
 
 // JSON, one field a line.
@@ -124,6 +125,7 @@ struct Seen {
   std::vector<std::pair<uint64_t, uint64_t>> bytes;
   std::map<std::string, std::vector<Held>> held;
   std::map<std::string, std::string> end;
+  uint64_t asked = 0;
 };
 
 Seen read_viewer(const std::string& path) {
@@ -137,6 +139,7 @@ Seen read_viewer(const std::string& path) {
     if (fields[0] == "bytes") out.bytes.emplace_back(std::stoull(fields.at(1)), std::stoull(fields.at(2)));
     if (fields[0] == "held") out.held[fields.at(2)].push_back({std::stoull(fields.at(1)), std::stoull(fields.at(3))});
     if (fields[0] == "end") out.end[fields.at(1)] = fields.at(3);
+    if (fields[0] == "counts") out.asked = std::stoull(fields.at(1));
   }
   if (out.open_ms == -1 && out.end.empty()) throw std::runtime_error(path + ": the viewer wrote nothing");
   return out;
@@ -181,6 +184,24 @@ void latencies(const Seen& viewer, const ViewerRun& run, const Served& served, u
   }
 }
 
+// From the return of the link until the viewer holds, of each car, what was told last before it.
+double back_after(const Seen& viewer, const ViewerRun& run, const Served& served, uint64_t back_ns) {
+  double worst = 0;
+  for (const std::string& car : run.cars) {
+    const auto told = served.told.find(car);
+    const auto seen = viewer.held.find(car);
+    if (told == served.told.end() || seen == viewer.held.end()) continue;
+    const auto before = std::find_if(told->second.rbegin(), told->second.rend(), [&](uint64_t tick) {
+      const auto made = served.tick_ns.find(tick);
+      return made != served.tick_ns.end() && made->second < back_ns;
+    });
+    const auto held = std::find_if(seen->second.begin(), seen->second.end(),
+                                   [&](const Held& one) { return before != told->second.rend() && one.tick >= *before; });
+    if (held != seen->second.end() && held->ns > back_ns) worst = std::max(worst, 1e-6 * double(held->ns - back_ns));
+  }
+  return worst;
+}
+
 // Least squares, bytes a second.
 double slope(const std::vector<Sample>& samples) {
   double n = 0, x = 0, y = 0, xx = 0, xy = 0;
@@ -197,6 +218,8 @@ struct Viewers {
   uint64_t missing = 0, diverged = 0, compared = 0;
   double mean_mbits[2] = {}, worst_mbits[2] = {};  // by surface level, of the busiest steady viewer: over the load, in a second
   double open_ms = 0, late_ms = 0;                 // worst
+  double back_ms = 0;                              // worst, from the return of a link that was cut until all it missed is there
+  uint64_t asked = 0;                              // keyframes
   double stale_ms = 0, thaw_ms = 0;  // of frozen ones, worst: the age of what was shown, and the time until it was current
 };
 
@@ -213,7 +236,11 @@ Viewers put_together(const Run& run, const Served& served) {
     }
     if (viewer.part == "late") out.late_ms = std::max(out.late_ms, seen.open_ms < 0 ? 1e9 : seen.open_ms);
     if (viewer.part == "steady") {
-      latencies(seen, viewer, served, run.begin_ns, run.end_ns, out.latency, out.missing);
+      // What is made while a link is away, or just before, comes after its return.
+      latencies(seen, viewer, served, run.begin_ns, run.cut_ns > 0 ? run.cut_ns - cut_margin_ns : run.end_ns, out.latency,
+                out.missing);
+      if (run.back_ns > 0) out.back_ms = std::max(out.back_ms, back_after(seen, viewer, served, run.back_ns));
+      out.asked += seen.asked;
       out.open_ms = std::max(out.open_ms, seen.open_ms);
     }
     if (viewer.part == "steady" || is_far) {
@@ -296,6 +323,19 @@ int report(const Options& options, const Run& run) {
   }
   json.number("open_ms_worst", viewers.open_ms);
   json.number("late_join_ms_worst", viewers.late_ms);
+  const Weather& weather = options.weather;
+  json.text("link", !options.impaired() ? "" : options.udp ? "udp" : "tcp");
+  json.number("delay_ms", weather.delay);
+  json.number("jitter_ms", weather.jitter);
+  json.number("loss", weather.loss);
+  json.number("reorder", weather.reorder);
+  json.number("kbit", weather.kbit);
+  json.number("cut_s", options.cut);
+  json.number("back_ms_worst", viewers.back_ms);
+  json.number("keyframes_asked", double(viewers.asked));
+  json.number("packets", double(run.packets.passed));
+  json.number("packets_lost", double(run.packets.lost));
+  json.number("connections", double(run.packets.connections));
   json.number("thawed_stale_ms_worst", viewers.stale_ms);
   json.number("thawed_current_after_ms", viewers.thaw_ms);
   json.number("diverged", double(viewers.diverged));
@@ -341,6 +381,9 @@ int report(const Options& options, const Run& run) {
   if (options.far > 0)
     std::printf("far viewer of all %u cars: %.2f Mb/s, %.2f in its busiest second\n", options.crashing, viewers.mean_mbits[1],
                 viewers.worst_mbits[1]);
+  if (run.back_ns > 0)
+    std::printf("cut for %g s: all that it missed after %.0f ms; behind for %.0f ms at most before; %llu keyframes asked for\n",
+                options.cut, viewers.back_ms, quantile(viewers.latency, 1), static_cast<unsigned long long>(viewers.asked));
   if (viewers.thaw_ms > 0)
     std::printf("frozen for 3 s: current again after %.0f ms; the oldest surface shown was superseded %.0f ms before\n",
                 viewers.thaw_ms, viewers.stale_ms);

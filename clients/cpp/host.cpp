@@ -183,6 +183,7 @@ int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles
                                                 &velocity, &turn, from.friction));
   }
   builder.Finish(schema::CreateObstaclesDirect(builder, ++session->sequence, &list));
+  session->obstacles.assign(builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize());
   return put(*session, "obstacles", builder);
 }
 

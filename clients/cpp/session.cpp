@@ -41,10 +41,10 @@ CrumplePose pose_of(const schema::Pose& pose) {
 void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car) {
   if (car.asking) return;
   const std::string key = session.root + "car/" + id + "/key/" + std::to_string(car.level);
-  const auto timeout = static_cast<uint32_t>(session.timeout.count());
-  if (net_get(session.net, key.c_str(), nullptr, 0, timeout, &car.asking) != 0) return;
-  session.key_tickets[car.asking] = id;
   car.asked = Clock::now();
+  car.owed = true;
+  if (net_get(session.net, key.c_str(), nullptr, 0, keyframe_ms, &car.asking) != 0) return;
+  session.key_tickets[car.asking] = id;
   car.unsure = false;
   ++session.statistics.asked;
 }
@@ -85,6 +85,7 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
   if (asked_for) surface.key_parts = {};
   const Outcome outcome = keyframe ? apply_keyframe(bytes, surface) : apply_delta(bytes, surface);
   car.unsure = !asked_for;
+  car.owed &= !asked_for || outcome.applied == Applied::refused;
   switch (outcome.applied) {
     case Applied::whole:
       if (&surface == &car.coming) car.surface = std::exchange(car.coming, {});
@@ -298,23 +299,38 @@ void end_ticket(Crumple& session, uint64_t ticket) {
   }
 }
 
+// They are told once, and the line may have been away then. A server that has them already drops them by their number.
+void send_obstacles_again(Crumple& session) {
+  if (session.obstacles.empty()) return;
+  const std::string key = session.root + "host/" + session.host + "/obstacles";
+  net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_REAL_TIME);
+}
+
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {
-  if (key == "server") session.server_alive = alive;
+  if (key == "server") {
+    session.server_alive = alive;
+    if (alive) send_obstacles_again(session);
+  }
   const std::string_view id = car_of(key);
   FollowedCar* car = id.empty() ? nullptr : followed(session, id);
   if (!car) return;
+  const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // before its token came
   car->alive = alive;
   car->doubtful = false;  // a new one is asked for its keyframe anyway
+  if (asked) return;
   car->fresh = true;
   car->coming = {};
-  if (alive) ask_for_keyframe(session, std::string(id), *car);
+  if (alive)
+    ask_for_keyframe(session, std::string(id), *car);
+  else
+    forget_question(session, *car);  // whoever is there next has not heard it
 }
 
 void ask_the_silent(Crumple& session) {
   const auto now = Clock::now();
   for (auto& [id, car] : session.cars) {
-    const bool waits = (car.doubtful || car.fresh) && car.alive && now - car.asked > silence;
-    if (waits || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
+    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > silence;
+    if (unanswered || (car.unsure && now - car.last > silence)) ask_for_keyframe(session, id, car);
   }
 }
 
@@ -481,7 +497,9 @@ int crumple_follow(Crumple* session, const char* id, int level) {
   if (id) {
     // What comes for all need not come for this one once more.
     if (const int status = subscribe(*session, id, session->level == level ? none : level); status != CRUMPLE_OK) return status;
-    change_level(*session, id, session->cars.try_emplace(id).first->second, level);
+    FollowedCar& car = session->cars.try_emplace(id).first->second;
+    change_level(*session, id, car, level);
+    ask_for_keyframe(*session, id, car);  // sooner than its token can come
     return CRUMPLE_OK;
   }
   if (const int status = subscribe(*session, "*", level); status != CRUMPLE_OK) return status;

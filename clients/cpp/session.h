@@ -25,6 +25,8 @@ inline constexpr std::chrono::milliseconds unpolled{500};
 // What health says of a car that spoke so lately may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
 inline constexpr int none = -1;  // of the surface levels
+// For a keyframe; then it is asked for again.
+inline constexpr uint32_t keyframe_ms = 3000;
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr size_t answers_kept = 256;
 // An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8
@@ -40,6 +42,7 @@ struct FollowedCar {
   bool dirty = false;
   bool unsure = false;        // a message came since the last keyframe that was asked for
   bool doubtful = false;      // the session was not polled for long: what is held counts only after an answer to `asking`
+  bool owed = false;          // a keyframe that was asked for has not come
   bool fresh = true;          // the car, its server or its level is a new one: the next keyframe counts whatever its tick
   Clock::time_point asked{};  // last, for its keyframe
   uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
@@ -87,6 +90,7 @@ struct Crumple {
   int level = crumple::client::none;                   // of the cars that come, where all are followed
   std::map<std::string, int, std::less<>> subscribed;  // level, by id of a car or "*"
   uint64_t sequence = 0;
+  std::vector<uint8_t> obstacles;  // the last message of them
   std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;
   std::map<std::string, crumple::client::Asset, std::less<>> assets;
   std::map<uint64_t, crumple::client::CommandAnswer> answers;  // by ticket, oldest first

@@ -29,14 +29,15 @@ const char* transport_version(void);
 
 typedef struct Net Net;
 
-// mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447",
-// comma separated, or NULL. config: JSON5 of zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip
-// scouting, lease 3 s, 16 batches a queue, 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that
-// listens on port 0 learns its port by net_endpoint. Waits up to timeout_ms for a client's first connection.
+// mode "peer" or "router" with `listen` (and `connect`), or "client" with `connect`: endpoints such as "tcp/127.0.0.1:7447" or
+// "udp/127.0.0.1:7447?rel=1" (QUIC: what is lost is sent again), comma separated, or NULL. config: JSON5 of
+// zenoh's own configuration laid over ours, or NULL. Ours: no multicast or gossip scouting, lease 3 s, 16 batches a queue,
+// 64 MiB a message (a car of 50,000 nodes has 20), Drop for samples. A server that listens on port 0 learns its port by
+// net_endpoint. Waits up to timeout_ms for a client's first connection; one that is lost comes back by itself.
 int net_open(const char* mode, const char* listen, const char* connect, const char* config, uint32_t timeout_ms, Net** out);
 // Whether zenoh would take this configuration (JSON5, not NULL); opens nothing.
 int net_check(const char* config);
-// The endpoint the session listens on, resolved ("tcp/127.0.0.1:41234"), or "" if none.
+// The endpoints the session listens on, resolved ("tcp/127.0.0.1:41234"), comma separated, or "" if none.
 const char* net_endpoint(const Net*);
 // Undeclares everything, joins all threads.
 void net_close(Net*);

@@ -31,7 +31,7 @@ NetEvent event_of(const Part& part, std::string& key) {
   };
   switch (part.kind % kinds) {
     case keyframe:
-      sample(car + "/key");
+      sample(car + "/key/0");
       break;
     case delta:
       sample(car + "/delta/0");
@@ -147,7 +147,7 @@ std::vector<std::vector<uint8_t>> client_seeds() {
   add(keyframe_reply, encode_keyframe({3, car.hash, 0.0005f}, key).at(0), asked);
   put(asset, 0, input_of(car.bytes), asked);
   for (uint8_t ticket = 0; ticket < 3; ++ticket) put(end, ticket, {}, asked);
-  const std::string odd = "car/car00007/key";
+  const std::string odd = "car/car00007/key/0";
   std::vector<uint8_t> free(odd.begin(), odd.end());
   const Bytes bytes = encode_keyframe({3, car.hash, 0.0005f}, key).at(0);
   free.insert(free.end(), input_of(bytes).begin(), input_of(bytes).end());

@@ -21,7 +21,7 @@ bool snapshot_run(Input input) {
   expect_saved(*world);
   Inbox inbox;
   for (const auto& [id, host] : world->hosts) inbox.push_back({"host/" + id + "/obstacles", host::obstacles(UINT64_MAX, {})});
-  for (const std::string& car : cars(*world)) inbox.push_back({"car/" + car + "/key", {}, 1});
+  for (const std::string& car : cars(*world)) inbox.push_back({"car/" + car + "/key/0", {}, 1});
   advance(*world, {});
   advance(*world, inbox);
   inbox.clear();

@@ -19,7 +19,7 @@ std::string key_of(const Part& part) {
     case command:
       return car;
     default:
-      return car + "/key";
+      return car + "/key/0";
   }
 }
 

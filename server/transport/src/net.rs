@@ -103,7 +103,8 @@ impl Net {
             };
             Fail::new(IO, format!("cannot {verb} {}: {remedy} ({e})", ends.join(", ")))
         })?;
-        let endpoint = session.info().locators().wait().first().map(|locator| locator.to_string()).unwrap_or_default();
+        let mut endpoints: Vec<String> = session.info().locators().wait().iter().map(|locator| locator.to_string()).collect();
+        endpoints.sort();
         let shared = Arc::new(Shared {
             inbox: Inbox::new(MAX_REPLIES),
             open_queries: Mutex::default(),
@@ -121,7 +122,7 @@ impl Net {
         };
         Ok(Net {
             session,
-            endpoint: CString::new(endpoint).unwrap_or_default(),
+            endpoint: CString::new(endpoints.join(",")).unwrap_or_default(),
             shared,
             sent: Sent::default(),
             puts,
