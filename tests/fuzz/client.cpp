@@ -105,12 +105,12 @@ void look(Crumple& session) {
 bool client_run(Input input) {
   Crumple session;  // without a network: what it asks for fails
   session.root = root;
-  session.follows_all = true;
+  session.level = 0;
   for (Part& part : parts_of(input)) {
     const uint8_t kind = part.kind % kinds;
     if (part.which & 2 && (kind == keyframe || kind == delta || kind == keyframe_reply)) {
       const client::FollowedCar& car = session.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
-      fit_hash(kind != delta, car.fresh ? client::Surface() : car.surface, part.bytes);
+      fit_hash(kind != delta, car.fresh && kind != delta ? car.coming : car.surface, part.bytes);
     }
     session.answers[answer_ticket];
     session.key_tickets[keyframe_ticket] = "c0";
@@ -139,7 +139,7 @@ std::vector<std::vector<uint8_t>> client_seeds() {
   CarReaction reaction;
   reaction.car = "c0";
   add(reactions, encode_reactions(4, 0.1, {reaction, reaction}), seen);
-  add(health, encode_health({4, 60, 1, {{"tick", 0.001, 0.002}}, {{"cars", 1, 9}}, {{"malformed", 2, 0}}, {{"c0", 9}}}), seen);
+  add(health, encode_health({4, 60, 1, {{"tick", 0.001, 0.002}}, {{"cars", 1, 9}}, {{"malformed", 2, 0}}, {{"c0", {9, 6}}}}), seen);
   put(gone, 0, {}, seen);
   add(answer, encode_answer(3, Refusal{Reason::malformed, "a sentence"}), asked);
   add(answer, encode_answer(3, std::nullopt, Bytes(5)), asked);
