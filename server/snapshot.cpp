@@ -198,7 +198,9 @@ void check(const World& world, const Instance& car) {
   good = good && std::isfinite(mass.mass) && mass.mass > 0 && finite(mass.inertia) && mass.inertia.minCoeff() > 0;
   for (const ImpulseLog::Change& change : car.log.changes)
     good = good && finite(change.velocity) && finite(change.angular_velocity);
-  good = good && (car.response.sweeps == 0 || car.response.substeps > 0);
+  const Response& last = car.response;  // what the budget divides and doubles
+  good = good && last.sweeps <= uint64_t{1000} * last.substeps && last.work <= uint64_t{max_tets} * last.sweeps;
+  good = good && last.residual >= 0;
   const size_t shown = 3 * car.levels->front()->skin_node.size();
   for (const Told& told : car.told) {
     good = good && told.keyframe.size() == shown && told.latest.size() == shown;

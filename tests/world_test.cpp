@@ -733,6 +733,7 @@ TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
       {"no sub-steps", [](World&, Instance& c) { c.parameters.substeps = 0; }},
       {"a solver", [](World&, Instance& c) { c.parameters.solver = Solver(7); }},
       {"sweeps of no sub-step", [](World&, Instance& c) { c.response.substeps = 0; }},
+      {"more sweeps than there can be", [](World&, Instance& c) { c.response.sweeps = UINT32_MAX; }},
       {"a velocity", [&](World&, Instance& c) { c.motion.velocity.x() = nan; }},
       {"an orientation", [](World&, Instance& c) { c.motion.pose.orientation.w() = 9; }},
       {"a mass", [](World&, Instance& c) { c.mass.mass = 0; }},
