@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <tuple>
 
 #include "state.h"
 #include "wire/encode.h"
@@ -108,7 +109,10 @@ bool woken_soon(const World& world, const Instance& car) {
 
 // Where the car stands, and whether it will take part.
 void prepare_car(const World& world, Instance& car, Worker&) {
+  const Pose before = car.motion.pose;
   receive(world, car);
+  const bool put_elsewhere = car.body.touching && !(car.motion.pose.position == before.position &&
+                                                    car.motion.pose.orientation.coeffs() == before.orientation.coeffs());
   car.changed = false;
   car.ahead = look_ahead(world, car);
   if (world.budget == 0) return;
@@ -116,17 +120,21 @@ void prepare_car(const World& world, Instance& car, Worker&) {
     if (car.fresh > 0) --car.fresh;
     return;
   }
-  car.fresh = !car.body.settled || woken_soon(world, car) ? waking : 0;
+  car.fresh = !car.body.settled || put_elsewhere || woken_soon(world, car) ? waking : 0;
 }
+
+// What may change of a body that is not solved: an obstacle that it rests against goes on or leaves.
+auto of_rest(const Body& body) { return std::tuple(body.touching, body.settled, body.drift, body.force, body.moment); }
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
   const bool told = std::none_of(car.told.begin(), car.told.end(), [](const Told& each) { return each.due || each.flowing; });
-  const bool idle = car.body.settled && !car.body.touching && told && !car.changed;
+  const bool resting = car.body.settled && told && !car.changed;
+  const auto before = of_rest(car.body);
   move(world, car, worker);
   car.news = {};
-  if (idle && car.response.substeps == 0) return;
-  show(world, car, worker);
-  car.hashes[0] = hash(car.body);
+  const bool same_shape = resting && car.response.substeps == 0 && !car.response.recovered;
+  if (!same_shape) show(world, car, worker);
+  if (!same_shape || of_rest(car.body) != before) car.hashes[0] = hash(car.body);
 }
 
 // Cars know nothing of each other within a tick, so any number of workers gives the same.
