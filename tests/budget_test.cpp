@@ -122,6 +122,37 @@ TEST(Budget, TooSmallForAllLeavesEachASubstepOfEightSweeps) {
   }
 }
 
+TEST(Budget, CountsCarsThatRestAgainstAWallWhenTheirHostPutsThemElsewhere) {
+  const WorldHandle world = make_world(60, 0.0005f);
+  add_asset(*world, box());
+  Inbox inbox = {
+      {"host/game/obstacles", host::obstacles(1, {{1, schema::Shape::box, {0.5f, 50, 5}, pose_at(2.25 + 0.02 + 0.5, 0, 1)}})}};
+  const auto put_at = [&](uint64_t sequence, double x, float speed) {
+    std::vector<CarPose> poses;
+    for (int k = 0; k < cars; ++k) poses.push_back({std::to_string(k), pose_at(x, 4 * k), {speed, 0, 0}});
+    inbox.push_back({"host/game/poses", host::poses(sequence, poses)});
+  };
+  for (int k = 0; k < cars; ++k)
+    inbox.push_back({"car/" + std::to_string(k), host::spawn(box()->hash, "game", pose_at(0, 4 * k))});
+  put_at(1, 0, 12);
+  Outbox outbox;
+  const auto rests = [&] {
+    return std::all_of(world->cars.begin(), world->cars.end(),
+                       [](const auto& one) { return one.second.body.settled && one.second.body.touching; });
+  };
+  for (int k = 0; k < 200 && !(k > 2 && rests()); ++k) {
+    tick(*world, inbox, outbox, 1);
+    inbox.clear();
+    put_at(uint64_t(2 + k), 0.3, 0);
+  }
+  ASSERT_TRUE(rests());
+  inbox.clear();
+  put_at(1000, -20, 0);
+  inbox.push_back(budget_message(1));
+  tick(*world, inbox, outbox, 1);
+  for (const auto& [id, car] : world->cars) EXPECT_EQ(car.response.sweeps, 8u) << "as few as there may be";
+}
+
 TEST(Budget, LeavesAFineMeshItsSubsteps) {
   const auto fine = box_car({30, 16, 8});
   const WorldHandle world = make_world(60, 0.0005f);

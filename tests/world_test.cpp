@@ -694,6 +694,29 @@ TEST(State, AWorldSavedInMidCrashGoesOnBitForBit) {
   EXPECT_GT(scene.car("a").touched_tick, 40u) << "it crashed once more";
 }
 
+TEST(State, TheSumOfACarThatRestsAgainstAWallIsItsBodysWhateverTheWallDoes) {
+  Scene scene;
+  scene.spawn("a");
+  Thing wall{1, schema::Shape::box, {0.5f, 5, 5}, pose_at(2.8, 0, 1)};
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall})},
+              {"host/game/poses", host::poses(1, {{"a", pose_at(0), {12, 0, 0}}})}});
+  const auto rests = [&] { return scene.car("a").body.settled && scene.car("a").body.touching; };
+  // Scripted, or it would spring back from the wall.
+  for (int k = 0; k < 200 && !rests(); ++k)
+    scene.step({{"host/game/poses", host::poses(2 + k, {{"a", pose_at(0.3), {0, 0, 0}}})}});
+  ASSERT_TRUE(rests());
+  int unsolved = 0;
+  for (int k = 0; k < 60; ++k) {
+    wall.velocity = {k < 30 ? -0.003f : k < 40 ? 0.0f : 0.5f, 0, 0};
+    wall.pose = schema::Pose({float(scene.world->obstacles[0].pose.position.x()), 0, 1}, wall.pose.orientation());
+    const Body before = scene.car("a").body;
+    scene.step({{"host/game/obstacles", host::obstacles(2 + k, {wall})}});
+    unsolved += scene.car("a").response.substeps == 0 && hash(scene.car("a").body) != hash(before);
+    ASSERT_EQ(scene.car("a").hashes[0], hash(scene.car("a").body)) << k;
+  }
+  EXPECT_GT(unsolved, 0) << "the wall went along a body that slept";
+}
+
 TEST(State, ADamagedWorldIsRefusedAndLeavesNothing) {
   Scene scene;
   crash(scene, 6);
