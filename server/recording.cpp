@@ -231,8 +231,6 @@ bool RecordingReader::next(Item& item) {
   return true;
 }
 
-void RecordingReader::rewind() {
-  need(reader_rewind(reader_));
-}
+void RecordingReader::rewind() { need(reader_rewind(reader_)); }
 
 }  // namespace crumple
