@@ -139,7 +139,8 @@ std::vector<std::vector<uint8_t>> client_seeds() {
   CarReaction reaction;
   reaction.car = "c0";
   add(reactions, encode_reactions(4, 0.1, {reaction, reaction}), seen);
-  add(health, encode_health({4, 60, 1, {{"tick", 0.001, 0.002}}, {{"cars", 1, 9}}, {{"malformed", 2, 0}}, {{"c0", {9, 6}}}}), seen);
+  add(health, encode_health({4, 60, 1, {{"tick", 0.001, 0.002}}, {{"cars", 1, 9}}, {{"malformed", 2, 0}}, {{"c0", {9, 6}}}}),
+      seen);
   put(gone, 0, {}, seen);
   add(answer, encode_answer(3, Refusal{Reason::malformed, "a sentence"}), asked);
   add(answer, encode_answer(3, std::nullopt, Bytes(5)), asked);
