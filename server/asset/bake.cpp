@@ -13,6 +13,7 @@
 #include "asset/build_constraints.h"
 #include "asset/build_skin.h"
 #include "asset/built_in.h"
+#include "asset/car.h"
 #include "asset/order_spatially.h"
 #include "asset/paint_regions.h"
 #include "asset/text_of.h"
@@ -26,7 +27,7 @@ constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
 
 // What is cheap to know before the tets are made.
 void check_options(const BakeOptions& options) {
-  if (!(options.mass >= 10 && options.mass <= 100'000))
+  if (!(options.mass >= least_mass && options.mass <= most_mass))
     throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
   if (!options.regions.empty() && !std::filesystem::exists(options.regions))
     throw std::runtime_error(options.regions.string() + ": there is no such regions file; check the path.");

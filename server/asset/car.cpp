@@ -8,6 +8,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <Eigen/Dense>
 #include <bit>
 #include <cmath>
 #include <cstring>
@@ -36,19 +37,6 @@ static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == siz
 template <class Ours, class Theirs>
 std::span<const Ours> view(const flatbuffers::Vector<Theirs>* list) {
   return {reinterpret_cast<const Ours*>(list->Data()), list->size()};
-}
-
-// A float is finite when its exponent is not all ones; 0 for a list of finite numbers.
-uint32_t not_finite(const void* data, size_t count) {
-  uint32_t found = 0;
-  const auto* bits = static_cast<const uint32_t*>(data);
-  for (size_t i = 0; i < count; ++i) found |= (bits[i] & 0x7f800000u) == 0x7f800000u;
-  return found;
-}
-
-template <class T>
-bool finite(std::span<const T> list) {
-  return !not_finite(list.data(), list.size_bytes() / sizeof(float));
 }
 
 // Finite and above zero: as bits, 1 .. 0x7f7fffff.
@@ -135,26 +123,82 @@ void check_sizes(const Model& m, size_t regions, const std::string& name) {
   if (!fits) refuse(name, "its lists do not have matching lengths");
 }
 
+bool within(std::span<const Vec3> list, float extent) {
+  uint32_t bad = 0;
+  for (const Vec3& point : list) bad |= !(point.cwiseAbs().array() <= extent).all();  // also for NaN
+  return !bad;
+}
+
+// What is derived from the nodes must be what they give: rounded to a float it is off by 5e-7 of it at most. A gradient and an
+// edge that nearly cancel, those of a sliver, are off by as much of the product of their lengths.
+constexpr double agreement = 1e-5;
+
+bool rest_shapes_agree(const Model& model) {
+  uint32_t bad = 0;
+  for (size_t t = 0; t < model.tet.size(); ++t) {
+    const uint32_t* node = model.tet[t].node;
+    Eigen::Matrix3d edges, gradients;
+    for (int k = 0; k < 3; ++k) {
+      edges.col(k) = model.node[node[k + 1]].cast<double>() - model.node[node[0]].cast<double>();
+      gradients.row(k) = model.gradients[t].corner[k].cast<double>();
+    }
+    const double rest = model.tet_rest[t], volume = edges.determinant() / 6;
+    bad |= !(rest >= smallest_volume) | !(std::abs(volume - rest) <= agreement * (rest + edges.colwise().norm().prod() / 6));
+    const Eigen::Matrix3d lengths = gradients.rowwise().norm() * edges.colwise().norm();
+    const Eigen::Matrix3d error = gradients * edges - Eigen::Matrix3d::Identity();
+    bad |= !(error.cwiseAbs().array() <= agreement * (1 + lengths.array())).all();
+  }
+  return !bad;
+}
+
+bool edge_lengths_agree(const Model& model) {
+  uint32_t bad = 0;
+  for (size_t e = 0; e < model.edge.size(); ++e) {
+    const auto [a, b] = model.edge[e].node;
+    const double rest = model.edge_rest[e], length = (model.node[b].cast<double>() - model.node[a].cast<double>()).norm();
+    bad |= !(std::abs(length - rest) <= agreement * length);
+  }
+  return !bad;
+}
+
+bool masses_agree(const Model& model) {
+  double mass = 0;
+  Eigen::Vector3d moment = Eigen::Vector3d::Zero(), inertia = Eigen::Vector3d::Zero();
+  for (size_t i = 0; i < model.node.size(); ++i) {
+    mass += model.node_mass[i];
+    moment += model.node_mass[i] * model.node[i].cast<double>();
+  }
+  const Eigen::Vector3d center = moment / mass;
+  for (size_t i = 0; i < model.node.size(); ++i) {
+    const Eigen::Vector3d square = (model.node[i].cast<double>() - center).cwiseAbs2();
+    inertia += model.node_mass[i] * (Eigen::Vector3d::Constant(square.sum()) - square);
+  }
+  const auto agree = [](const auto& theirs, const auto& ours, double scale) {
+    return ((theirs.template cast<double>() - ours).cwiseAbs().array() <= agreement * scale).all();
+  };
+  return std::abs(model.mass - mass) <= agreement * mass && agree(model.center_of_mass, center, max_extent) &&
+         agree(model.inertia, inertia, inertia.maxCoeff());
+}
+
 void check(const Model& m, size_t regions, const std::string& name) {
   check_sizes(m, regions, name);
   const auto demand = [&](bool good, const char* fact) {
     if (!good) refuse(name, fact);
   };
   const auto region_count = static_cast<uint32_t>(regions);
-  demand(finite(m.node) && finite(m.vertex), "a position is not a finite number");
+  demand(within(m.node, max_extent) && within(m.vertex, max_extent), "a position is not within 50 m of its origin");
   demand(positive(m.node_mass), "a node's mass is not above zero");
   demand(below(m.node_region, region_count) && below(m.tet_region, region_count), "it names a region that it does not have");
   demand(below(m.node_anchored, 2), "an anchor flag is neither 0 nor 1");
   demand(tets_are_sound(m), "a tet names a node that does not exist or names one twice");
-  demand(finite(m.gradients) && positive(m.tet_rest), "a tet's rest volume is not above zero or its gradients are not finite");
+  demand(rest_shapes_agree(m), "a tet's rest volume or gradients do not agree with its nodes");
   demand(edges_are_sound(m), "an edge names a node that does not exist or its nodes are out of order");
-  demand(positive(m.edge_rest), "an edge's rest length is not above zero");
+  demand(edge_lengths_agree(m), "an edge's rest length does not agree with its nodes");
   demand(corners_are_sound(m), "the list of the tets around each node does not agree with the tets");
   demand(below(m.triangle, static_cast<uint32_t>(m.vertex.size())), "a triangle names a vertex that does not exist");
   demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights are negative or do not sum to 1");
-  const float inertia[3] = {m.inertia.x(), m.inertia.y(), m.inertia.z()};
-  demand(positive({&m.mass, 1}) && positive(inertia) && m.center_of_mass.allFinite(),
-         "its mass, inertia or centre of mass is not a sensible number");
+  demand(m.mass >= least_mass && m.mass <= most_mass, "its mass is not from 10 kg to 100 t");
+  demand(masses_agree(m), "its mass, inertia or centre of mass does not agree with its nodes");
 }
 
 std::vector<uint32_t> skin_nodes(const Model& model) {

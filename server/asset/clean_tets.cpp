@@ -15,8 +15,7 @@
 namespace crumple {
 namespace {
 
-constexpr double smallest_part = 0.02;     // of the whole volume: what may stand by itself, held by no face of another part
-constexpr double smallest_volume = 1e-12;  // m^3, a tenth of a millimetre cubed: nothing a solver could divide by
+constexpr double smallest_part = 0.02;  // of the whole volume: what may stand by itself, held by no face of another part
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
