@@ -53,7 +53,8 @@ std::vector<Frame> crash(const Car& car, const std::string& scene) {
     const Response response = deform(model, Parameters{}, mass, {&obstacle, 1}, 1.0 / 60, *scratch, body, motion);
     if (response.contacts == 0) continue;
     Frame& frame = frames.emplace_back();
-    for (uint32_t node : car.skin_node) frame.node.push_back(body.node[node] - model.node[node]);
+    frame.node.resize(car.skin_node.size());
+    displace(model, body, car.skin_node, frame.node);
     frame.vertex.resize(model.vertex.size());
     skin(model, body, frame.vertex);
     for (size_t v = 0; v < frame.vertex.size(); ++v) frame.vertex[v] -= model.vertex[v];

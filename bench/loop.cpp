@@ -180,8 +180,8 @@ void register_messages(const std::shared_ptr<const Bench>& bench) {
       const Scene& scene = scene_of(*bench);
       std::vector<Lane> lanes = make_lanes(scene, 1);
       const Model& model = bench->car->model;
-      std::vector<Vec3> displaced;
-      for (uint32_t node : bench->car->skin_node) displaced.push_back(lanes[0].body.node[node] - model.node[node]);
+      std::vector<Vec3> displaced(bench->car->skin_node.size());
+      displace(model, lanes[0].body, bench->car->skin_node, displaced);
       std::vector<int16_t> displacement(3 * displaced.size());
       const SurfaceHead head{2, bench->car->hash, 0.5e-3f};
       size_t size = 0;

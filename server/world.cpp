@@ -63,22 +63,15 @@ void move(const World& world, Instance& car, Worker& worker) {
   if (touched(car.response)) car.touched_tick = world.tick;
 }
 
-// Displacements from rest of the nodes that the skin of the spawned car uses; where the body is on another level, where that
-// one takes them.
-void displace(const World& world, const Instance& car, std::vector<Vec3>& out) {
+// What the nodes that the skin of the spawned car uses are displaced by; where the body is on another level, by where that one
+// takes them.
+void displace_shown(const World& world, const Instance& car, std::vector<Vec3>& out) {
   const Car& shown = *car.levels->front();
-  const auto moved = [&](uint32_t node) -> Vec3 { return car.body.node[node] - car.car->model.node[node]; };
-  out.clear();
+  out.resize(shown.skin_node.size());
   if (car.car->hash == shown.hash) {
-    for (uint32_t node : shown.skin_node) out.push_back(moved(node));
-    return;
-  }
-  const LevelMap& map = world.level_maps.at({car.car->hash, shown.hash});
-  for (uint32_t node : shown.skin_node) {
-    const Skin& skin = map.node[node];
-    Vec3 sum = Vec3::Zero();
-    for (int k = 0; k < 4; ++k) sum += skin.weight[k] * moved(skin.node[k]);
-    out.push_back(sum);
+    displace(shown.model, car.body, shown.skin_node, out);
+  } else {
+    displace(car.car->model, world.level_maps.at({car.car->hash, shown.hash}), car.body, shown.skin_node, out);
   }
 }
 
@@ -87,7 +80,7 @@ float quantum_of(const World& world, size_t level) { return world.quantum * floa
 // What its viewers are to be told of the car.
 void show(const World& world, Instance& car, Worker& worker) {
   const Watch watch(world.clock, worker.times[size_t(Stage::surface)]);
-  displace(world, car, worker.displaced);
+  displace_shown(world, car, worker.displaced);
   worker.displacement.resize(3 * worker.displaced.size());
   for (size_t level = 0; level < surface_levels.size(); ++level) {
     Told& told = car.told[level];

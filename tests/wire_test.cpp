@@ -306,6 +306,27 @@ TEST(Surface, RoundsHalfAwayFromZeroAndClamps) {
   EXPECT_EQ(quanta, (std::vector<int16_t>{1, -1, 0, 32767, -32767, 3}));
 }
 
+TEST(Surface, RoundsAsTheLibraryDoes) {
+  std::mt19937 random(7);
+  std::vector<Vec3> displacement;
+  for (int k = -400; k <= 400; ++k) {  // halves, and their neighbours on either side
+    const float half = 0.5f * float(k);
+    displacement.push_back({half, std::nextafter(half, -1e9f), std::nextafter(half, 1e9f)});
+  }
+  std::uniform_real_distribution<float> any(-40'000, 40'000);
+  for (int k = 0; k < 10'000; ++k) displacement.push_back({any(random), any(random), 1e-3f * any(random)});
+  constexpr float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
+  displacement.push_back({nan, infinity, -infinity});
+  std::vector<int16_t> quanta(3 * displacement.size());
+  for (float quantum : {1.0f, 0.0005f}) {
+    quantise(displacement, quantum, quanta);
+    for (size_t i = 0; i < quanta.size(); ++i) {
+      const float number = std::round(displacement[i / 3][i % 3] / quantum);
+      ASSERT_EQ(quanta[i], int16_t(std::fmin(std::fmax(number, -32767.0f), 32767.0f))) << displacement[i / 3][i % 3];
+    }
+  }
+}
+
 std::vector<int16_t> noise(size_t nodes, uint32_t seed) {
   std::mt19937 random(seed);
   std::vector<int16_t> out(3 * nodes);

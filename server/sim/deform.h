@@ -62,4 +62,7 @@ Response deform(const Model&, const Parameters&, const Mass&, std::span<const Ob
 // Surface vertices in the car's frame. vertex: as many as the model's.
 void skin(const Model&, const Body&, std::span<Vec3> vertex);
 
+// Displacements of these nodes from rest, car's frame, m. out: as many as nodes.
+void displace(const Model&, const Body&, std::span<const uint32_t> nodes, std::span<Vec3> out);
+
 }  // namespace crumple

@@ -1,14 +1,27 @@
 #include "sim/deform.h"
+#include "sim/transfer.h"
 
 namespace crumple {
+namespace {
+
+Vec3 displacement_of(const Model& model, const Body& body, const Skin& skin) {
+  Vec3 sum = Vec3::Zero();
+  for (int k = 0; k < 4; ++k) sum += skin.weight[k] * (body.node[skin.node[k]] - model.node[skin.node[k]]);
+  return sum;
+}
+
+}  // namespace
 
 void skin(const Model& model, const Body& body, std::span<Vec3> vertex) {
-  for (size_t v = 0; v < vertex.size(); ++v) {
-    const Skin& s = model.skin[v];
-    Vec3 displacement = Vec3::Zero();
-    for (int k = 0; k < 4; ++k) displacement += s.weight[k] * (body.node[s.node[k]] - model.node[s.node[k]]);
-    vertex[v] = model.vertex[v] + displacement;
-  }
+  for (size_t v = 0; v < vertex.size(); ++v) vertex[v] = model.vertex[v] + displacement_of(model, body, model.skin[v]);
+}
+
+void displace(const Model& model, const Body& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
+  for (size_t i = 0; i < nodes.size(); ++i) out[i] = body.node[nodes[i]] - model.node[nodes[i]];
+}
+
+void displace(const Model& model, const LevelMap& to, const Body& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
+  for (size_t i = 0; i < nodes.size(); ++i) out[i] = displacement_of(model, body, to.node[nodes[i]]);
 }
 
 }  // namespace crumple

@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <cstring>
 
 #include "wire/encode.h"
@@ -34,11 +33,16 @@ void append(const uint16_t numbers[block], int width, std::vector<uint16_t>& wor
 }  // namespace
 
 void quantise(std::span<const Vec3> displacement, float quantum, std::span<int16_t> quanta) {
-  for (size_t i = 0; i < displacement.size(); ++i) {
-    for (int axis = 0; axis < 3; ++axis) {
-      const float number = std::round(displacement[i][axis] / quantum);
-      quanta[3 * i + axis] = int16_t(std::fmin(std::fmax(number, -32767.0f), 32767.0f));
-    }
+  static_assert(sizeof(Vec3) == 3 * sizeof(float));
+  const auto* from = reinterpret_cast<const float*>(displacement.data());
+  // std::round and std::fmin are calls, two thirds of what a surface took.
+  for (size_t i = 0; i < 3 * displacement.size(); ++i) {
+    const float number = from[i] / quantum;
+    const float high = number > -32767.0f ? number : -32767.0f;  // also for NaN
+    const float within = high < 32767.0f ? high : 32767.0f;
+    const auto whole = int32_t(within);
+    const float rest = within - float(whole);
+    quanta[i] = int16_t(whole + (rest >= 0.5f) - (rest <= -0.5f));
   }
 }
 
