@@ -4,10 +4,9 @@
 #include <chrono>
 #include <cmath>
 #include <map>
-#include <stdexcept>
 #include <thread>
 
-#include "cpp/crumple_client.h"
+#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {
@@ -24,16 +23,6 @@ constexpr double braking = 7;           // m/s^2
 constexpr double turn_back = 500;       // m that a driving car goes before it starts anew
 constexpr size_t orders_at_once = 100;  // their answers are kept for the last 256
 
-struct Session {
-  Crumple* handle = nullptr;
-  ~Session() { crumple_close(handle); }
-};
-
-int need(int status) {
-  if (status < 0) throw std::runtime_error(crumple_error());
-  return status;
-}
-
 struct Moving {
   std::string id;
   uint32_t number = 0;
@@ -45,7 +34,7 @@ struct Moving {
 
 struct Host {
   const HostTask& task;
-  Session session;
+  client::Session session;
   std::vector<Moving> cars;  // those that move
   std::map<std::string, size_t> at;
   uint64_t tick = 0;  // the newest known
@@ -58,12 +47,7 @@ CrumplePose start_of(char kind, uint32_t number) {
 }
 
 void settle(Host& host, std::vector<uint64_t>& tickets) {
-  for (uint64_t ticket : tickets) {
-    CrumpleAnswer answer;
-    need(crumple_wait(host.session.handle, ticket, &answer));
-    if (!answer.ok) throw std::runtime_error(std::string("load: the server refused a car: ") + answer.sentence);
-    host.tick = std::max(host.tick, answer.tick);
-  }
+  for (uint64_t ticket : tickets) host.tick = std::max(host.tick, host.session.settle(ticket).tick);
   tickets.clear();
 }
 
@@ -75,7 +59,7 @@ void spawn(Host& host) {
       spawn.pose = start_of(kind, number);
       spawn.planar = 1;
       const std::string id = car_id(kind, number);
-      need(crumple_spawn(host.session.handle, id.c_str(), host.task.asset.c_str(), &spawn, &tickets.emplace_back()));
+      client::need(crumple_spawn(host.session, id.c_str(), host.task.asset.c_str(), &spawn, &tickets.emplace_back()));
       if (tickets.size() == orders_at_once) settle(host, tickets);
       if (kind == 'a') continue;
       host.at[id] = host.cars.size();
@@ -105,12 +89,12 @@ void publish_walls(Host& host) {
     wall.friction = 0.3f;
     walls.push_back(wall);
   }
-  need(crumple_publish_obstacles(host.session.handle, walls.data(), walls.size()));
+  host.session.publish(walls);
 }
 
 void take_reactions(Host& host) {
-  CrumpleReaction reaction;
-  while (crumple_take_reactions(host.session.handle, &reaction, 1) == 1) {
+  while (const auto next = host.session.next_reaction()) {
+    const CrumpleReaction& reaction = *next;
     host.tick = std::max(host.tick, reaction.tick);
     const auto found = host.at.find(reaction.car);
     if (found == host.at.end()) continue;
@@ -158,13 +142,11 @@ void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& 
 std::string car_id(char kind, uint32_t number) { return kind + std::to_string(number); }
 
 void play_host(const HostTask& task, std::atomic<uint32_t>& ready, const std::atomic<bool>& go, const std::atomic<bool>& stop) {
-  Host host{task, {}, {}, {}};
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, task.id.c_str(), nullptr};
-  need(crumple_open(&open, &host.session.handle));
+  Host host{task, client::Session({task.endpoint, scene, task.id, "", patience}), {}, {}};
   spawn(host);
   publish_walls(host);
   ++ready;
-  while (!go && !stop) need(crumple_poll(host.session.handle, 10'000));
+  while (!go && !stop) host.session.poll(std::chrono::milliseconds(10));
 
   const auto period = int64_t(std::lround(task.period * rate));
   const auto begun = Clock::now();
@@ -172,8 +154,8 @@ void play_host(const HostTask& task, std::atomic<uint32_t>& ready, const std::at
   for (int64_t i = 0; !stop; ++i) {
     const auto due = begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(double(i) / rate));
     for (auto now = Clock::now(); now < due; now = Clock::now()) {
-      const auto left = std::chrono::duration_cast<std::chrono::microseconds>(due - now).count();
-      need(crumple_poll(host.session.handle, uint64_t(std::max<int64_t>(1, left))));
+      const auto left = std::chrono::duration_cast<std::chrono::microseconds>(due - now);
+      host.session.poll(std::max(left, std::chrono::microseconds(1)));
     }
     take_reactions(host);
     const double time = double(i % period) / rate;
@@ -184,11 +166,11 @@ void play_host(const HostTask& task, std::atomic<uint32_t>& ready, const std::at
       std::copy_n(car.velocity, 3, poses[k].velocity);
       std::copy_n(car.turn, 3, poses[k].angular_velocity);
     }
-    if (!poses.empty()) need(crumple_publish_poses(host.session.handle, double(i) / rate, poses.data(), poses.size()));
+    if (!poses.empty()) host.session.publish(double(i) / rate, poses);
     if (i >= period && i % period == std::lround(repair_at * rate)) {
       for (const Moving& car : host.cars) {
         uint64_t ticket;
-        if (car.crashes) need(crumple_repair(host.session.handle, car.id.c_str(), 1, &ticket));
+        if (car.crashes) client::need(crumple_repair(host.session, car.id.c_str(), 1, &ticket));
       }
     }
     if (i % int64_t(rate) == 0) publish_walls(host);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <string>
@@ -13,6 +14,7 @@
 namespace crumple::load {
 
 inline constexpr const char* scene = "load";
+inline constexpr std::chrono::seconds patience{20};  // with a server under load
 
 struct Options {
   std::string program;            // the crumple to start

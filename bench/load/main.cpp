@@ -13,7 +13,7 @@
 #include <thread>
 
 #include "asset/car.h"
-#include "cpp/crumple_client.h"
+#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {
@@ -25,7 +25,7 @@ constexpr double calm = 3;       // s from the last pose until all is compared: 
 constexpr double calm_far = 10;  // the same over impaired links: a lost connection is noticed after 3 s and made anew in 3 s
 constexpr double frozen = 3;     // s
 constexpr const char* datagrams = "?rel=1";
-constexpr double patience = 120;  // s for the server to start and take all cars
+constexpr double start_patience = 120;  // s for the server to start and take all cars
 
 std::atomic<bool> interrupted{false};
 
@@ -112,7 +112,7 @@ std::string start_server(const Options& options, const std::string& recording, P
   for (std::string word; further >> word;) words.push_back(word);
   const std::string log = options.folder + "/server.log";
   server.start(words, log);
-  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience));
+  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(start_patience));
   while (Clock::now() < until && !interrupted) {
     std::this_thread::sleep_for(std::chrono::milliseconds(50));
     const std::string text = text_of(log);
@@ -234,39 +234,28 @@ void disturb(Stage& stage, double time) {
     for (uint32_t k = 0; k < options.late; ++k) start_viewer(stage, "late", options.viewers + k);
 }
 
-struct Session {
-  Crumple* handle = nullptr;
-  ~Session() { crumple_close(handle); }
-};
-
 // What a viewer gets that comes when all is calm.
 void ask_for_truth(Stage& stage, int level) {
-  Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr, nullptr};
-  if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
+  client::Session session({stage.endpoint, scene, "", "", patience});
   std::vector<std::string> cars;
   for (uint32_t k = 0; k < stage.options.crashing; ++k) {
     cars.push_back(car_id('c', k));
-    crumple_follow(session.handle, cars.back().c_str(), level);
+    session.follow(cars.back(), level);
   }
   const auto until = Clock::now() + std::chrono::seconds(20);
   for (const std::string& car : cars) {
-    CrumpleSurface surface;
-    int status;
-    while ((status = crumple_surface(session.handle, car.c_str(), &surface)) == CRUMPLE_PENDING && Clock::now() < until)
-      if (crumple_poll(session.handle, 10'000) < 0) throw std::runtime_error(crumple_error());
-    if (status != CRUMPLE_OK) throw std::runtime_error("load: no surface of car " + car + " came within 20 s");
+    std::optional<CrumpleSurface> surface;
+    while (!(surface = session.surface(car)) && Clock::now() < until) session.poll(std::chrono::milliseconds(10));
+    if (!surface) throw std::runtime_error("load: no surface of car " + car + " came within 20 s");
     char digits[17];
-    std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(surface.hash));
+    std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(surface->hash));
     stage.run.truth[level][car] = digits;
   }
 }
 
 void watch_over(Stage& stage) {
   const Options& options = stage.options;
-  Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, stage.endpoint.c_str(), scene, nullptr, nullptr};
-  if (crumple_open(&open, &session.handle) < 0) throw std::runtime_error(crumple_error());
+  client::Session session({stage.endpoint, scene, "", "", patience});
   const auto begun = Clock::now();
   stage.run.begin_ns = wall_ns();
   stage.run.samples.push_back(sample(stage.server.id));
@@ -276,9 +265,8 @@ void watch_over(Stage& stage) {
     if (!stage.server.alive()) throw std::runtime_error("load: the server ended: " + text_of(options.folder + "/server.log"));
     stage.run.samples.push_back(sample(stage.server.id));
     disturb(stage, time);
-    crumple_poll(session.handle, 0);
-    CrumpleHealth health{};
-    crumple_health(session.handle, &health);
+    session.poll();
+    const CrumpleHealth health = session.health().value_or(CrumpleHealth{});
     const auto& samples = stage.run.samples;
     const double cpu = samples.back().cpu - samples[samples.size() - 2].cpu;
     const bool terminal = isatty(STDOUT_FILENO);
@@ -309,7 +297,7 @@ int play(const Options& options) {
       std::min(options.follow, options.crashing));
   std::fflush(stdout);
   start_hosts(stage, car->hash);
-  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(patience));
+  const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(start_patience));
   while (stage.ready < options.hosts && Clock::now() < until && !interrupted && !stage.stop)
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
   check(stage);

@@ -7,7 +7,7 @@
 #include <map>
 #include <stdexcept>
 
-#include "cpp/crumple_client.h"
+#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {
@@ -33,35 +33,30 @@ uint64_t wall_ns() {
 int view(const ViewerTask& task) {
   std::signal(SIGTERM, [](int) { ended = true; });
   const uint64_t begun = wall_ns();
-  Crumple* session = nullptr;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 20'000, task.endpoint.c_str(), scene, nullptr, nullptr};
-  if (crumple_open(&open, &session) < 0) throw std::runtime_error(crumple_error());
-  if (task.level == 1 && crumple_follow(session, nullptr, 1) < 0) throw std::runtime_error(crumple_error());
-  for (const std::string& car : task.cars)
-    if (crumple_follow(session, car.c_str(), task.level) < 0) throw std::runtime_error(crumple_error());
+  client::Session session({task.endpoint, scene, "", "", patience});
+  if (task.level == 1) session.follow_all(1);
+  for (const std::string& car : task.cars) session.follow(car, task.level);
 
   std::vector<Seen> seen;
   std::vector<std::pair<uint64_t, uint64_t>> bytes;
   std::vector<uint64_t> newest(task.cars.size(), nothing);
   uint64_t whole = 0, next = begun + 1'000'000'000;
-  CrumpleSurface surface;
-  CrumpleStatistics statistics;
   while (!ended) {
-    if (crumple_poll(session, 100'000) < 0) throw std::runtime_error(crumple_error());
+    session.poll(std::chrono::milliseconds(100));
     const uint64_t now = wall_ns();
     for (size_t i = 0; i < task.cars.size(); ++i) {
-      if (crumple_surface(session, task.cars[i].c_str(), &surface) != CRUMPLE_OK) {
+      const auto surface = session.surface(task.cars[i]);
+      if (!surface) {
         newest[i] = nothing;
-      } else if (surface.tick != newest[i]) {
-        newest[i] = surface.tick;
-        seen.push_back({now, i, surface.tick});
+      } else if (surface->tick != newest[i]) {
+        newest[i] = surface->tick;
+        seen.push_back({now, i, surface->tick});
       }
     }
     if (whole == 0 && std::count(newest.begin(), newest.end(), nothing) == 0) whole = now;
     if (now < next) continue;
     next += 1'000'000'000;
-    crumple_statistics(session, &statistics);
-    bytes.emplace_back(now, statistics.received_bytes);
+    bytes.emplace_back(now, session.statistics().received_bytes);
   }
   std::FILE* file = std::fopen(task.file.c_str(), "w");
   if (!file) throw std::runtime_error(task.file + ": cannot be written");
@@ -71,14 +66,12 @@ int view(const ViewerTask& task) {
   for (const Seen& one : seen)
     std::fprintf(file, "held,%llu,%s,%llu\n", number(one.ns), task.cars[one.car].c_str(), number(one.tick));
   for (const std::string& car : task.cars) {
-    if (crumple_surface(session, car.c_str(), &surface) == CRUMPLE_OK)
-      std::fprintf(file, "end,%s,%llu,%016llx\n", car.c_str(), number(surface.tick), number(surface.hash));
+    if (const auto surface = session.surface(car))
+      std::fprintf(file, "end,%s,%llu,%016llx\n", car.c_str(), number(surface->tick), number(surface->hash));
   }
-  crumple_statistics(session, &statistics);
+  const CrumpleStatistics statistics = session.statistics();
   std::fprintf(file, "counts,%llu,%llu,%llu\n", number(statistics.asked), number(statistics.older), number(statistics.refused));
-  const bool good = std::fclose(file) == 0;
-  crumple_close(session);
-  return good ? 0 : 1;
+  return std::fclose(file) == 0 ? 0 : 1;
 }
 
 }  // namespace crumple::load

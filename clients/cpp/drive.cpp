@@ -12,7 +12,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "cpp/crumple_client.h"
+#include "cpp/crumple.hpp"
 #include "cpp/scene.h"
 
 #define XXH_INLINE_ALL
@@ -36,16 +36,6 @@ template <class... Values>
 void say(const char* format, Values... values) {
   std::printf(format, values...);
   std::fflush(stdout);
-}
-
-struct Session {
-  Crumple* handle = nullptr;
-  ~Session() { crumple_close(handle); }
-};
-
-int need(int status) {
-  if (status < 0) throw std::runtime_error(crumple_error());
-  return status;
 }
 
 double seconds_since(Clock::time_point start) { return std::chrono::duration<double>(Clock::now() - start).count(); }
@@ -138,13 +128,15 @@ std::string hash_of_car(const std::string& car) {
   return digits;
 }
 
-// By reference: the call that gives the status sets it.
-void order(Run& run, int status, const uint64_t& ticket, const char* what) {
-  need(status);
-  CrumpleAnswer answer;
-  need(crumple_wait(run.session.handle, ticket, &answer));
-  run.tick = std::max(run.tick, answer.tick);
-  if (!answer.ok) throw std::runtime_error(std::string("the server refused to ") + what + ": " + answer.sentence);
+void took(Run& run, uint64_t tick) { run.tick = std::max(run.tick, tick); }
+
+template <class Command>
+void attempt(const std::string& what, const Command& command) {
+  try {
+    command();
+  } catch (const Error& refused) {
+    throw Error("the server refused to " + what + ": " + refused.what());
+  }
 }
 
 CrumpleParameters parameters_of(const schema::ParametersT& from) {
@@ -171,36 +163,26 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
 
 // Spawns the car and learns where its centre of mass is.
 Vector3d begin(Run& run) {
-  Crumple* session = run.session.handle;
+  Session& session = run.session;
   const std::string asset = hash_of_car(run.options.car.empty() ? run.scene.car : run.options.car);
   const Moving first = at_start(*run.scene.hits.front(), Vector3d::Zero());
-  const char* id = run.options.id.c_str();
+  const std::string& id = run.options.id;
   CrumpleSpawn spawn{};
   spawn.pose = pose_of(first);
   spawn.mass = run.scene.mass;
   spawn.planar = run.scene.planar;
 
-  CrumpleMesh mesh{};
-  const auto deadline = Clock::now() + std::chrono::seconds(10);
-  for (int status; (status = need(crumple_mesh(session, asset.c_str(), &mesh))) == CRUMPLE_PENDING;) {
-    if (Clock::now() > deadline) throw std::runtime_error("the server does not send asset " + asset);
-    need(crumple_poll(session, 100'000));
-  }
+  const CrumpleMesh mesh = session.mesh(asset);
   run.mass = run.scene.mass > 0 ? run.scene.mass : mesh.mass;
-  uint64_t ticket = 0;
-  CrumpleAnswer answer;
-  need(crumple_spawn(session, id, asset.c_str(), &spawn, &ticket));
-  need(crumple_wait(session, ticket, &answer));
-  if (!answer.ok) {  // perhaps an earlier run has left its car
-    order(run, crumple_despawn(session, id, &ticket), ticket, ("spawn the car: " + std::string(answer.sentence)).c_str());
-    order(run, crumple_spawn(session, id, asset.c_str(), &spawn, &ticket), ticket, "spawn the car");
+  try {
+    took(run, session.spawn(id, asset, spawn));
+  } catch (const Error& refused) {  // perhaps an earlier run has left its car
+    attempt("spawn the car: " + std::string(refused.what()), [&] { took(run, session.despawn(id)); });
+    attempt("spawn the car", [&] { took(run, session.spawn(id, asset, spawn)); });
   }
-  run.tick = std::max(run.tick, answer.tick);
-  for (const auto& parameters : run.scene.parameters) {
-    const CrumpleParameters to = parameters_of(*parameters);
-    order(run, crumple_set_parameters(session, id, &to, &ticket), ticket, "take the scene's parameters");
-  }
-  need(crumple_follow(session, id, 0));
+  for (const auto& parameters : run.scene.parameters)
+    attempt("take the scene's parameters", [&] { took(run, session.set_parameters(id, parameters_of(*parameters))); });
+  session.follow(id);
   say("%s\n  car %s, %.0f kg: %s\n", run.scene.about.c_str(), mesh.name, run.mass, mesh.attribution);
   return vector_of(mesh.center_of_mass);
 }
@@ -222,7 +204,7 @@ void publish_obstacles(Run& run) {
     to.friction = from->friction;
     list.push_back(to);
   }
-  need(crumple_publish_obstacles(run.session.handle, list.data(), list.size()));
+  run.session.publish(list);
 }
 
 bool moving_obstacles(const schema::SceneT& scene) {
@@ -238,37 +220,37 @@ void publish_pose(Run& run, const Moving& car) {
   copy(car.velocity, pose.velocity);
   copy(car.turn, pose.angular_velocity);
   pose.seen = car.seen;
-  need(crumple_publish_poses(run.session.handle, seconds_since(run.start), &pose, 1));
+  run.session.publish(seconds_since(run.start), {&pose, 1});
 }
 
 // Comes once a second.
 void take_health(Run& run) {
-  CrumpleHealth health;
-  if (crumple_health(run.session.handle, &health) != CRUMPLE_OK) return;
-  run.tick = std::max(run.tick, health.tick);
-  run.server_rate = health.rate;
-  run.tick_ms = std::max(run.tick_ms, static_cast<double>(health.tick_ms));
-  run.worst_ms = std::max(run.worst_ms, static_cast<double>(health.worst_ms));
-  run.late = health.late;
+  const auto health = run.session.health();
+  if (!health) return;
+  took(run, health->tick);
+  run.server_rate = health->rate;
+  run.tick_ms = std::max(run.tick_ms, static_cast<double>(health->tick_ms));
+  run.worst_ms = std::max(run.worst_ms, static_cast<double>(health->worst_ms));
+  run.late = health->late;
 }
 
 // Largest displacement of a node of the skin against the direction of travel (car's frame), as this viewer holds it.
 double crush(Run& run, const Vector3d& travel) {
-  CrumpleSurface surface;
-  if (crumple_surface(run.session.handle, run.options.id.c_str(), &surface) != CRUMPLE_OK) return 0;
+  const auto surface = run.session.surface(run.options.id);
+  if (!surface) return 0;
   double most = 0;
-  for (uint32_t i = 0; i < surface.node_count; ++i) {
-    const int16_t* d = surface.quanta + 3 * i;
+  for (uint32_t i = 0; i < surface->node_count; ++i) {
+    const int16_t* d = surface->quanta + 3 * i;
     most = std::max(most, -travel.dot(Vector3d(d[0], d[1], d[2])));
   }
-  return most * surface.quantum;
+  return most * surface->quantum;
 }
 
 // Takes the reactions of this host tick. Returns whether the car now stands where the server put it.
 bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
-  CrumpleReaction reaction;
   bool touched = false, any = false;
-  while (crumple_take_reactions(run.session.handle, &reaction, 1) == 1) {
+  while (const auto next = run.session.next_reaction()) {
+    const CrumpleReaction& reaction = *next;
     if (run.options.id != reaction.car || reaction.tick <= car.seen) continue;
     const double tick = reaction.time / static_cast<double>(reaction.tick);
     const Vector3d impulse = vector_of(reaction.impulse);
@@ -278,7 +260,7 @@ bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
     if (contact) result.after = reached;
     result.peak = std::max(result.peak, -impulse.dot(travel) / (run.mass * tick));
     run.energy = reaction.energy_absorbed;
-    run.tick = std::max(run.tick, reaction.tick);
+    took(run, reaction.tick);
     car.told_seconds += tick * (car.hit || touched ? static_cast<double>(reaction.tick - car.seen) : 1);
     car.seen = reaction.tick;
     car.touching = contact;
@@ -315,20 +297,17 @@ void wait_until(Run& run, Clock::time_point next) {
   for (;;) {
     const auto left = std::chrono::duration_cast<std::chrono::microseconds>(next - Clock::now());
     if (left.count() <= 0) break;
-    need(crumple_poll(run.session.handle, static_cast<uint64_t>(left.count())));
+    run.session.poll(left);
   }
-  need(crumple_poll(run.session.handle, 0));
+  run.session.poll();
 }
 
 Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep_publishing) {
-  uint64_t ticket = 0;
-  if (hit.repair > 0)
-    order(run, crumple_repair(run.session.handle, run.options.id.c_str(), hit.repair, &ticket), ticket, "repair the car");
+  if (hit.repair > 0) attempt("repair the car", [&] { took(run, run.session.repair(run.options.id, hit.repair)); });
   publish_obstacles(run);
   Moving car = at_start(hit, center);
   // Where it starts it knows of every tick so far: the hits before are history, and what comes is news.
-  CrumpleReaction stale;
-  while (crumple_take_reactions(run.session.handle, &stale, 1) > 0) run.tick = std::max(run.tick, stale.tick);
+  while (const auto stale = run.session.next_reaction()) took(run, stale->tick);
   car.seen = run.tick;
   const Vector3d travel = vector_of(*hit.direction).normalized(), in_car = car.orientation.conjugate() * travel;
   Result result;
@@ -364,9 +343,7 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
     std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1,
                 3.6 * r.before, 3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
   }
-  CrumpleStatistics statistics;
-  crumple_statistics(run.session.handle, &statistics);
-  const auto bytes = static_cast<double>(statistics.surface_bytes);
+  const auto bytes = static_cast<double>(run.session.statistics().surface_bytes);
   std::printf("\n  surface received: %.1f kB, %.0f bytes a second over %.1f s\n", 1e-3 * bytes, bytes / seconds, seconds);
   std::printf("  server: %.2f ms a tick in its busiest second, worst %.1f ms, %llu ticks late\n", run.tick_ms, run.worst_ms,
               static_cast<unsigned long long>(run.late));
@@ -376,11 +353,9 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
 
 int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
   const schema::SceneT scene = read_scene(options.file);
-  Run run{options, scene, stop, {}};
+  Run run{options, scene, stop,
+          Session({options.connect, options.scene, options.host, options.network, std::chrono::seconds(5)})};
   run.rate = options.rate > 0 ? options.rate : scene.rate;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000, options.connect.c_str(), options.scene.c_str(), options.host.c_str(),
-                            options.network.c_str()};
-  need(crumple_open(&open, &run.session.handle));
   const Vector3d center = begin(run);
   const bool keep_publishing = !moving_obstacles(scene);
   std::vector<Result> results;
@@ -390,10 +365,7 @@ int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
     results.push_back(play(run, *scene.hits[i], center, keep_publishing));
   }
   print_table(run, results, seconds_since(run.start));
-  if (!options.leave) {
-    uint64_t ticket = 0;
-    order(run, crumple_despawn(run.session.handle, options.id.c_str(), &ticket), ticket, "despawn the car");
-  }
+  if (!options.leave) attempt("despawn the car", [&] { run.session.despawn(options.id); });
   return stop ? 1 : 0;
 }
 

@@ -3,10 +3,9 @@
 
 #include <chrono>
 #include <cstdio>
-#include <stdexcept>
 #include <vector>
 
-#include "cpp/crumple_client.h"
+#include "cpp/crumple.hpp"
 #include "cpp/obj.h"
 
 namespace crumple::client {
@@ -14,32 +13,18 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-struct Session {
-  Crumple* handle = nullptr;
-  ~Session() { crumple_close(handle); }
-};
-
-int need(int status) {
-  if (status < 0) throw std::runtime_error(crumple_error());
-  return status;
-}
-
-std::vector<std::string> held_cars(Crumple* session) {
-  std::vector<const char*> ids(crumple_cars(session, nullptr, 0));
-  crumple_cars(session, ids.data(), ids.size());
+std::vector<std::string> held_cars(Session& session) {
   std::vector<std::string> held;
-  CrumpleSurface surface;
-  for (const char* id : ids)
-    if (crumple_surface(session, id, &surface) == CRUMPLE_OK) held.emplace_back(id);
+  for (const std::string& id : session.cars())
+    if (session.surface(id)) held.push_back(id);
   return held;
 }
 
-void print(Crumple* session, double bytes_per_second) {
+void print(Session& session, double bytes_per_second) {
   const auto held = held_cars(session);
   if (held.empty()) std::printf("no car yet\n");
   for (const std::string& id : held) {
-    CrumpleSurface surface{};
-    crumple_surface(session, id.c_str(), &surface);
+    const CrumpleSurface surface = *session.surface(id);
     uint32_t displaced = 0;
     for (uint32_t i = 0; i < surface.node_count; ++i) {
       const int16_t* d = surface.quanta + 3 * i;
@@ -54,25 +39,12 @@ void print(Crumple* session, double bytes_per_second) {
 }
 
 // The mesh is asked for while the server is still there.
-CrumpleMesh mesh_of(Crumple* session, const CrumpleSurface& surface) {
-  CrumpleMesh mesh{};
-  const std::string asset = surface.asset;
-  const auto deadline = Clock::now() + std::chrono::seconds(10);
-  while (need(crumple_mesh(session, asset.c_str(), &mesh)) == CRUMPLE_PENDING) {
-    if (Clock::now() > deadline) throw std::runtime_error("the server does not send asset " + asset);
-    need(crumple_poll(session, 100'000));
-  }
-  return mesh;
-}
-
-void write_surface(Crumple* session, const std::string& id, const std::string& path) {
-  CrumpleSurface surface{};
-  need(crumple_surface(session, id.c_str(), &surface));
-  const CrumpleMesh mesh = mesh_of(session, surface);
-  need(crumple_surface(session, id.c_str(), &surface));
+void write_surface(Session& session, const std::string& id, const std::string& path) {
+  const CrumpleMesh mesh = session.mesh(session.surface(id).value().asset);
   std::vector<float> displacement(size_t{3} * mesh.vertex_count);
-  need(crumple_copy(session, id.c_str(), displacement.data(), 12, mesh.vertex_count));
-  write_obj(path, mesh.attribution, id, surface.tick, {mesh.vertex, displacement.size()}, displacement,
+  const auto surface = session.surface(id);  // what has come meanwhile
+  if (!surface || !session.copy(id, displacement)) throw Error("car " + id + " is not held any more: its server fell silent");
+  write_obj(path, mesh.attribution, id, surface->tick, {mesh.vertex, displacement.size()}, displacement,
             {mesh.triangle, size_t{3} * mesh.triangle_count});
   std::printf("wrote %s\n", path.c_str());
 }
@@ -80,34 +52,33 @@ void write_surface(Crumple* session, const std::string& id, const std::string& p
 }  // namespace
 
 int watch(const WatchOptions& options, const std::atomic<bool>& stop) {
-  Session session;
-  const CrumpleOptions open{CRUMPLE_CLIENT_VERSION, 5000,    options.connect.c_str(),
-                            options.scene.c_str(),  nullptr, options.network.c_str()};
-  need(crumple_open(&open, &session.handle));
-  need(crumple_follow(session.handle, options.car.empty() ? nullptr : options.car.c_str(), options.level));
+  Session session({options.connect, options.scene, "", options.network, std::chrono::seconds(5)});
+  if (options.car.empty())
+    session.follow_all(options.level);
+  else
+    session.follow(options.car, options.level);
 
   const double limit = options.seconds > 0 ? options.seconds : options.once ? 10 : 1e9;
   const auto start = Clock::now(),
              end = start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(limit));
   auto next = start + std::chrono::seconds(1);
   uint64_t bytes = 0;
-  while (!stop && Clock::now() < end && !(options.once && !held_cars(session.handle).empty())) {
-    need(crumple_poll(session.handle, 100'000));
+  while (!stop && Clock::now() < end && !(options.once && !held_cars(session).empty())) {
+    session.poll(std::chrono::milliseconds(100));
     if (options.once || Clock::now() < next) continue;
     next += std::chrono::seconds(1);
-    CrumpleStatistics statistics;
-    crumple_statistics(session.handle, &statistics);
-    print(session.handle, static_cast<double>(statistics.received_bytes - bytes));
-    bytes = statistics.received_bytes;
+    const uint64_t now = session.statistics().received_bytes;
+    print(session, static_cast<double>(now - bytes));
+    bytes = now;
   }
-  if (options.once) print(session.handle, 0);
-  const auto held = held_cars(session.handle);
+  if (options.once) print(session, 0);
+  const auto held = held_cars(session);
   if (held.empty()) {
     std::fprintf(stderr, "crumple watch: no surface arrived%s%s: is such a car spawned?\n",
                  options.car.empty() ? "" : " of car ", options.car.c_str());
     return 1;
   }
-  if (!options.obj.empty()) write_surface(session.handle, held.front(), options.obj);
+  if (!options.obj.empty()) write_surface(session, held.front(), options.obj);
   return 0;
 }
 

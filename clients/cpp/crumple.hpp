@@ -1,0 +1,159 @@
+// crumple_client.h for C++: a session that closes itself, errors that are thrown, commands that wait for their answer. One
+// header, nothing to link beside the library; whatever has no member here is called on the session itself, which stands for its
+// handle. Lifetimes, units and threads are those of crumple_client.h.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "crumple_client.h"
+
+namespace crumple::client {
+
+// One sentence: that of crumple_error(), or why the server refused a command.
+struct Error : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+// Gives the status back, or throws it where it is an error.
+inline int need(int status) {
+  if (status < 0) throw Error(crumple_error());
+  return status;
+}
+
+// Of CrumpleOptions.
+struct SessionOptions {
+  std::string connect = "tcp/127.0.0.1:7447";
+  std::string scene = "main";
+  std::string host;     // empty: a viewer only
+  std::string network;  // empty: none
+  std::chrono::milliseconds timeout{2000};
+};
+
+class Session {
+ public:
+  explicit Session(const SessionOptions& options) : timeout_(options.timeout) {
+    const CrumpleOptions open{CRUMPLE_CLIENT_VERSION,
+                              uint32_t(options.timeout.count()),
+                              options.connect.c_str(),
+                              options.scene.c_str(),
+                              options.host.empty() ? nullptr : options.host.c_str(),
+                              options.network.c_str()};
+    Crumple* handle = nullptr;
+    need(crumple_open(&open, &handle));
+    handle_.reset(handle);
+  }
+  operator Crumple*() const { return handle_.get(); }
+
+  // Returns the number of messages.
+  int poll(std::chrono::microseconds wait = {}) {
+    return need(crumple_poll(*this, uint64_t(std::max<int64_t>(0, wait.count()))));
+  }
+
+  // Commands. Each returns the first tick that knows of it, and throws the server's sentence where it refused.
+  uint64_t spawn(const std::string& car, const std::string& asset, const CrumpleSpawn& spawn) {
+    uint64_t ticket = 0;
+    need(crumple_spawn(*this, car.c_str(), asset.c_str(), &spawn, &ticket));
+    return settle(ticket).tick;
+  }
+  uint64_t despawn(const std::string& car) {
+    uint64_t ticket = 0;
+    need(crumple_despawn(*this, car.c_str(), &ticket));
+    return settle(ticket).tick;
+  }
+  uint64_t repair(const std::string& car, float amount) {
+    uint64_t ticket = 0;
+    need(crumple_repair(*this, car.c_str(), amount, &ticket));
+    return settle(ticket).tick;
+  }
+  uint64_t set_parameters(const std::string& car, const CrumpleParameters& parameters) {
+    uint64_t ticket = 0;
+    need(crumple_set_parameters(*this, car.c_str(), &parameters, &ticket));
+    return settle(ticket).tick;
+  }
+  std::vector<uint8_t> save(const std::string& car) {
+    uint64_t ticket = 0;
+    need(crumple_save(*this, car.c_str(), &ticket));
+    const CrumpleAnswer answer = settle(ticket);
+    return {answer.state, answer.state + answer.state_size};
+  }
+  uint64_t load(const std::string& car, std::span<const uint8_t> state) {
+    uint64_t ticket = 0;
+    need(crumple_load(*this, car.c_str(), state.data(), state.size(), &ticket));
+    return settle(ticket).tick;
+  }
+  // The answer to a ticket of crumple_spawn and its like: to send many commands first and then wait for them.
+  CrumpleAnswer settle(uint64_t ticket) {
+    CrumpleAnswer answer;
+    need(crumple_wait(*this, ticket, &answer));
+    if (!answer.ok) throw Error(answer.sentence);
+    return answer;
+  }
+
+  // Host.
+  void publish(double time, std::span<const CrumpleCarPose> poses) {
+    need(crumple_publish_poses(*this, time, poses.data(), poses.size()));
+  }
+  void publish(std::span<const CrumpleObstacle> obstacles) {
+    need(crumple_publish_obstacles(*this, obstacles.data(), obstacles.size()));
+  }
+  std::optional<CrumpleReaction> next_reaction() {
+    CrumpleReaction reaction;
+    return crumple_take_reactions(*this, &reaction, 1) == 1 ? std::optional(reaction) : std::nullopt;
+  }
+
+  // Viewer.
+  void follow(const std::string& car, int level = 0) { need(crumple_follow(*this, car.c_str(), level)); }
+  void follow_all(int level = 0) { need(crumple_follow(*this, nullptr, level)); }
+  std::vector<std::string> cars() const {
+    std::vector<const char*> ids(crumple_cars(*this, nullptr, 0));
+    crumple_cars(*this, ids.data(), ids.size());
+    return {ids.begin(), ids.end()};
+  }
+  // Nothing while there is none that is whole and current.
+  std::optional<CrumpleSurface> surface(const std::string& car) {
+    CrumpleSurface surface;
+    return need(crumple_surface(*this, car.c_str(), &surface)) == CRUMPLE_OK ? std::optional(surface) : std::nullopt;
+  }
+  // Displacements of the vertices from rest, m, 3 each; false while they are not there.
+  bool copy(const std::string& car, std::span<float> out) {
+    return need(crumple_copy(*this, car.c_str(), out.data(), 3 * sizeof(float), out.size() / 3)) == CRUMPLE_OK;
+  }
+  // Waits for it.
+  CrumpleMesh mesh(const std::string& asset) {
+    CrumpleMesh mesh;
+    const auto deadline = std::chrono::steady_clock::now() + std::max(timeout_, std::chrono::milliseconds(10'000));
+    while (need(crumple_mesh(*this, asset.c_str(), &mesh)) == CRUMPLE_PENDING) {
+      if (std::chrono::steady_clock::now() > deadline) throw Error("the server does not send asset " + asset);
+      poll(std::chrono::milliseconds(100));
+    }
+    return mesh;
+  }
+
+  // Nothing until the first of the session, which comes within a second.
+  std::optional<CrumpleHealth> health() const {
+    CrumpleHealth health;
+    return crumple_health(*this, &health) == CRUMPLE_OK ? std::optional(health) : std::nullopt;
+  }
+  CrumpleStatistics statistics() const {
+    CrumpleStatistics statistics;
+    crumple_statistics(*this, &statistics);
+    return statistics;
+  }
+
+ private:
+  struct Close {
+    void operator()(Crumple* handle) const { crumple_close(handle); }
+  };
+  std::unique_ptr<Crumple, Close> handle_;
+  std::chrono::milliseconds timeout_;
+};
+
+}  // namespace crumple::client
