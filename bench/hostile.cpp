@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "asset/build_constraints.h"
+#include "schema/car_generated.h"
 
 namespace crumple {
 namespace {
@@ -86,6 +87,13 @@ std::shared_ptr<const Car> changed_car(const Car& car, const Change& change) {
     return std::span<T>(reinterpret_cast<T*>(bytes.data() + offset), view.size());
   };
   change(writable);
+  const Balance all = balance(writable(car.model.node), writable(car.model.node_mass));
+  const auto store = [](const schema::Vec3* at, const Eigen::Vector3d& v) {
+    *const_cast<schema::Vec3*>(at) = {float(v.x()), float(v.y()), float(v.z())};
+  };
+  const schema::Car& file = *schema::GetCar(bytes.data());
+  store(file.center_of_mass(), all.center);
+  store(file.inertia(), all.inertia);
   return read_car(bytes, car.name);
 }
 

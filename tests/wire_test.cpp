@@ -1,6 +1,7 @@
 // wire: what is refused and how it is said; what a viewer holds after keyframes and deltas.
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <limits>
 #include <random>
 
@@ -315,8 +316,8 @@ TEST(Surface, RoundsAsTheLibraryDoes) {
   }
   std::uniform_real_distribution<float> any(-40'000, 40'000);
   for (int k = 0; k < 10'000; ++k) displacement.push_back({any(random), any(random), 1e-3f * any(random)});
-  constexpr float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
-  displacement.push_back({nan, infinity, -infinity});
+  using Limits = std::numeric_limits<float>;
+  displacement.push_back({Limits::quiet_NaN(), Limits::infinity(), -Limits::infinity()});
   std::vector<int16_t> quanta(3 * displacement.size());
   for (float quantum : {1.0f, 0.0005f}) {
     quantise(displacement, quantum, quanta);

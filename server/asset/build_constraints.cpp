@@ -70,6 +70,20 @@ Constraints build_constraints(const TetMesh& mesh) {
   return out;
 }
 
+Balance balance(std::span<const Vec3> node, std::span<const float> mass) {
+  Balance out;
+  for (size_t i = 0; i < node.size(); ++i) {
+    out.mass += mass[i];
+    out.center += mass[i] * node[i].cast<double>();
+  }
+  out.center /= out.mass;
+  for (size_t i = 0; i < node.size(); ++i) {
+    const Eigen::Vector3d square = (node[i].cast<double>() - out.center).cwiseAbs2();
+    out.inertia += mass[i] * (Eigen::Vector3d::Constant(square.sum()) - square);
+  }
+  return out;
+}
+
 Masses lump_masses(const TetMesh& mesh, std::span<const float> tet_rest, double mass) {
   double volume = 0;
   std::vector<double> share(mesh.node.size(), 0);
@@ -78,20 +92,10 @@ Masses lump_masses(const TetMesh& mesh, std::span<const float> tet_rest, double 
     for (uint32_t node : mesh.tet[t].node) share[node] += tet_rest[t] / 4.0;
   }
   Masses out;
-  Eigen::Vector3d center = Eigen::Vector3d::Zero();
-  out.node.resize(share.size());
-  for (size_t i = 0; i < share.size(); ++i) {
-    share[i] *= mass / volume;
-    out.node[i] = static_cast<float>(share[i]);
-    center += share[i] / mass * mesh.node[i].cast<double>();
-  }
-  Eigen::Vector3d inertia = Eigen::Vector3d::Zero();
-  for (size_t i = 0; i < share.size(); ++i) {
-    const Eigen::Vector3d square = (mesh.node[i].cast<double>() - center).cwiseAbs2();
-    inertia += share[i] * (Eigen::Vector3d::Constant(square.sum()) - square);
-  }
-  out.center = center.cast<float>();
-  out.inertia = inertia.cast<float>();
+  for (double each : share) out.node.push_back(static_cast<float>(each * mass / volume));
+  const Balance all = balance(mesh.node, out.node);
+  out.center = all.center.cast<float>();
+  out.inertia = all.inertia.cast<float>();
   return out;
 }
 

@@ -24,6 +24,14 @@ double tet_volume(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d);
 // The mesh must be positively oriented, every node used, every index in range.
 Constraints build_constraints(const TetMesh&);
 
+// What nodes of these masses (kg) weigh together, where their centre is (m), and their inertia about it along the car's axes
+// (kg m^2).
+struct Balance {
+  double mass = 0;
+  Eigen::Vector3d center = Eigen::Vector3d::Zero(), inertia = Eigen::Vector3d::Zero();
+};
+Balance balance(std::span<const Vec3> node, std::span<const float> mass);
+
 struct Masses {
   std::vector<float> node;  // kg
   Vec3 center;              // m

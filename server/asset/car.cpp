@@ -18,6 +18,7 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include "asset/build_constraints.h"
 #include "asset/make_blocks.h"
 #include "schema/car_generated.h"
 
@@ -162,22 +163,13 @@ bool edge_lengths_agree(const Model& model) {
 }
 
 bool masses_agree(const Model& model) {
-  double mass = 0;
-  Eigen::Vector3d moment = Eigen::Vector3d::Zero(), inertia = Eigen::Vector3d::Zero();
-  for (size_t i = 0; i < model.node.size(); ++i) {
-    mass += model.node_mass[i];
-    moment += model.node_mass[i] * model.node[i].cast<double>();
-  }
-  const Eigen::Vector3d center = moment / mass;
-  for (size_t i = 0; i < model.node.size(); ++i) {
-    const Eigen::Vector3d square = (model.node[i].cast<double>() - center).cwiseAbs2();
-    inertia += model.node_mass[i] * (Eigen::Vector3d::Constant(square.sum()) - square);
-  }
-  const auto agree = [](const auto& theirs, const auto& ours, double scale) {
-    return ((theirs.template cast<double>() - ours).cwiseAbs().array() <= agreement * scale).all();
+  const Balance all = balance(model.node, model.node_mass);
+  const auto agree = [](const Vec3& theirs, const Eigen::Vector3d& ours, double scale) {
+    return ((theirs.cast<double>() - ours).cwiseAbs().array() <= agreement * scale).all();
   };
-  return std::abs(model.mass - mass) <= agreement * mass && agree(model.center_of_mass, center, max_extent) &&
-         agree(model.inertia, inertia, inertia.maxCoeff());
+  return std::abs(double(model.mass) - all.mass) <= agreement * all.mass &&
+         agree(model.center_of_mass, all.center, double(max_extent)) &&
+         agree(model.inertia, all.inertia, all.inertia.maxCoeff());
 }
 
 void check(const Model& m, size_t regions, const std::string& name) {
