@@ -297,6 +297,7 @@ void predict(const Blocks& blocks, float share, Scratch& scratch, Body& body) {
     const bool awake = scratch.awake[blocks.place[i] / lanes];
     scratch.direction[i] = awake ? quad(share * body.step[i], 0) : Quad{};
   }
+  std::fill(scratch.direction.begin() + ptrdiff_t(body.step.size()), scratch.direction.end(), Quad{});
   for (const Contact& contact : scratch.contacts) {
     const Vec3 position = vec(scratch.node[contact.node]);
     const float depth = std::max(0.0f, contact.offset - contact.normal.dot(position));
