@@ -29,20 +29,26 @@ struct Plan {
   int substeps, sweeps;  // the former in 1/60 s
 };
 
+// Sub-steps in a tick of `seconds`, for so many in 1/60 s.
+int count(int substeps, double seconds) {
+  Parameters parameters;
+  parameters.substeps = uint16_t(substeps);
+  return substep_count(parameters, seconds);
+}
+
 struct Share {
   Instance* car;
-  size_t order;   // among equals
-  Plan plan;      // what it asks for, then what it is left
-  double a_tick;  // sub-steps in a tick for one in the plan: its length, and what deform() halves
+  size_t order;    // among equals
+  Plan plan;       // what it asks for, then what it is left
+  double seconds;  // of a tick
+  double halved;   // sub-steps that deform() makes of one
   double awake, tets;
   double loss = 0;  // importance * m of residual per tet visit saved, of what is taken away next
 
   double work(const Plan& of) const {
-    return of.substeps * a_tick * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+    return count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
   }
 };
-
-double ticks(const World& world) { return 60 / world.rate; }
 
 // The least that a sub-step is left of sweeps where there are fewer sub-steps than its parameters ask for.
 int fewest_sweeps(const Instance& car, int substeps) {
@@ -51,8 +57,8 @@ int fewest_sweeps(const Instance& car, int substeps) {
   return sweeps;
 }
 
-bool may_halve(const Instance& car, int substeps) {
-  if (substeps % 2 != 0) return false;
+bool may_halve(const Instance& car, int substeps, double seconds) {
+  if (substeps % 2 != 0 || count(substeps / 2, seconds) == count(substeps, seconds)) return false;
   Parameters halved = car.parameters;
   halved.substeps = uint16_t(substeps / 2);
   return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
@@ -64,7 +70,7 @@ Plan less(const Share& share) {
   const Plan now = share.plan;
   const int least = fewest_sweeps(car, now.substeps);
   if (now.sweeps > least) return {now.substeps, now.sweeps - std::min(step, now.sweeps - least)};
-  if (!may_halve(car, now.substeps)) return now;
+  if (!may_halve(car, now.substeps, share.seconds)) return now;
   const int sweeps = std::min(fewest_sweeps(car, now.substeps / 2), int(car.parameters.iterations));
   return {now.substeps / 2, std::max(now.sweeps, sweeps)};
 }
@@ -75,19 +81,21 @@ double saved(const Share& share) { return share.work(share.plan) - share.work(le
 Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
   const int most = car.parameters.iterations, substeps = car.parameters.substeps;
   const Response& last = car.response;
-  const double tets = double(car.car->model.tet.size());
-  const double halved = last.substeps > 0 && car.substeps > 0 ? last.substeps / (car.substeps * ticks(world)) : 1;
-  Share share{&car, order, {substeps, 0}, ticks(world) * std::max(1.0, halved), tets, tets};
+  const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
+  const double halved = last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / count(car.substeps, seconds) : 1;
+  Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), tets, tets};
   if (last.sweeps == 0) {
     share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
     residual = worst;
     return share;
   }
-  share.awake = double(last.work) / last.sweeps;
-  if (car.fresh > 0) share.awake = std::max(share.awake, tets);
+  const double all = double(lanes * car.car->blocks.group.size());  // a sweep visits them by the vector
+  share.awake = std::min(all, double(last.work) / last.sweeps);     // it may be on another mesh now
+  if (car.fresh > 0) share.awake = all;
   const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
   // One that was kept short would have made more; how many more is seen by letting it.
-  share.plan.sweeps = used >= car.sweeps ? std::min(most, 2 * used) : used;
+  share.plan.sweeps = std::min(most, used >= car.sweeps ? 2 * used : used);
+  if (car.fresh > 0) share.plan.sweeps = std::max(share.plan.sweeps, std::min(most, usual));
   residual = double(last.residual) * car.substeps / substeps;  // of a shorter way
   for (int k = used; k < share.plan.sweeps; k += step) residual /= worth;
   return share;
@@ -105,9 +113,9 @@ double work_of(const Model& model, const Response& response) {
 }
 
 double crash_work(const World& world, const Instance& car, const Car& level) {
-  const double substeps = std::max(1.0, car.parameters.substeps * ticks(world));
   const int sweeps = std::min<int>(car.parameters.iterations, usual);
-  return double(level.model.tet.size()) * (substeps * (sweeps + substep_costs) + tick_costs);
+  return double(level.model.tet.size()) *
+         (substep_count(car.parameters, 1 / world.rate) * (sweeps + substep_costs) + tick_costs);
 }
 
 void ration(World& world, const std::vector<Instance*>& cars) {

@@ -85,7 +85,7 @@ Verdict obey_order(World&, const Target& target, SaveOrder&&, Bytes& state) {
   return std::nullopt;
 }
 
-Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
+Verdict obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&) {
   const Levels& levels = *target.car.levels;
   const auto level = std::find_if(levels.begin(), levels.end(), [&](const auto& car) { return car->hash == order.asset; });
   if (level == levels.end()) {
@@ -95,6 +95,7 @@ Verdict obey_order(World&, const Target& target, LoadOrder&& order, Bytes&) {
   const Model& model = (*level)->model;
   if (auto sentence = refuse_state(model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
   target.car.car = *level;
+  target.car.level_tick = world.tick;
   Body& body = target.car.body;
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
@@ -114,6 +115,7 @@ Verdict obey(World& world, const std::string& id, Order&& order, Bytes& state) {
     return Refusal{Reason::unknown_car, "car " + id + " does not live here; spawn it first"};
   }
   const Target target{found->first, found->second};
+  target.car.idle = false;
   return std::visit([&](auto&& which) { return obey_order(world, target, std::move(which), state); }, std::move(order));
 }
 

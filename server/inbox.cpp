@@ -36,6 +36,7 @@ Verdict take_poses(World& world, const std::string& host_id, const Bytes& bytes)
       count(world,
             {Reason::not_owner, "poses: car " + intent.car + " is host " + car->second.host + "'s, not " + host_id + "'s"});
     } else {
+      car->second.idle = false;
       car->second.importance = intent.importance;
       car->second.intent = std::move(intent);
     }
@@ -67,6 +68,7 @@ Verdict take_obstacles(World& world, const std::string& host_id, const Bytes& by
     return stale("obstacles", list.sequence, *host->obstacles_sequence);
   }
   host->obstacles_sequence = list.sequence;
+  world.obstacles_changed = true;
   const uint32_t count = uint32_t(list.obstacles.size());
   replace_obstacles(world, *host, std::move(list.obstacles));
   host->obstacles = count;

@@ -13,6 +13,7 @@ namespace {
 constexpr double notice = 0.5;       // s before something can touch the car that it changes its level
 constexpr double shortest_stay = 1;  // s on one level
 constexpr double reluctance = 0.8;   // of the nodes that would call for this level, below which it is left for a coarser one
+constexpr double spare = 0.2;        // of the budget, that must be left over where a car is to go to a finer level
 
 size_t nodes(const Car& car) { return car.model.node.size(); }
 
@@ -25,9 +26,18 @@ const std::shared_ptr<const Car>& wanted(const Instance& car) {
   return found != levels.end() ? *found : levels.back();
 }
 
+// Of two of one size, between which there is no map, the one with the lower hash.
 void add_level(const std::shared_ptr<const Car>& car, Levels& levels) {
-  const auto at = std::find_if(levels.begin(), levels.end(), [&](const auto& level) { return nodes(*level) < nodes(*car); });
-  levels.insert(at, car);
+  const auto at = std::find_if(levels.begin(), levels.end(), [&](const auto& level) { return nodes(*level) <= nodes(*car); });
+  if (at == levels.end() || nodes(**at) < nodes(*car)) {
+    levels.insert(at, car);
+  } else if (car->hash < (*at)->hash) {
+    *at = car;
+  }
+}
+
+bool stays(const World& world, const Instance& car) {
+  return car.level_tick > 0 && double(world.tick - car.level_tick) < shortest_stay * world.rate;
 }
 
 }  // namespace
@@ -50,15 +60,14 @@ void add_asset(World& world, std::shared_ptr<const Car> car) {
 
 size_t coarser_levels(const World& world, const std::string& asset) { return world.assets.at(asset).size() - 1; }
 
-Ahead look_ahead(const World& world, const Instance& car) {
+Ahead look_ahead(const World& world, const Instance& car, bool woken) {
   const bool held = car.body.touching && !car.body.settled;
   if (held || (world.budget == 0 && car.levels->size() == 1)) return Ahead::nothing;
-  if (!may_meet(car.car->model, car.body, car.motion, car.mass, world.obstacles, notice)) return Ahead::nothing;
-  const auto moves = [](const auto& thing) { return !thing.velocity.isZero(0) || !thing.angular_velocity.isZero(0); };
-  const bool driven = std::any_of(world.obstacles.begin(), world.obstacles.end(), [&](const Obstacle& obstacle) {
-    return moves(obstacle) && may_meet(car.car->model, car.body, car.motion, car.mass, {&obstacle, 1}, notice);
-  });
-  return moves(car.motion) || driven ? Ahead::hit : Ahead::neighbour;
+  const auto met = [&](const auto& how) {
+    return how(car.car->model, car.body, car.motion, car.mass, std::span<const Obstacle>(world.obstacles), notice);
+  };
+  if (woken || met(will_meet)) return Ahead::hit;
+  return met(may_meet) ? Ahead::neighbour : Ahead::nothing;
 }
 
 std::vector<Instance*> choose_levels(const World& world, const std::vector<Instance*>& cars) {
@@ -77,8 +86,8 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
   double left = double(world.budget);
   for (size_t i = 0; i < cars.size(); ++i) {
     Instance& car = *cars[i];
-    const bool may =
-        car.ahead != Ahead::nothing && !car.body.touching && car.levels->size() > 1 && car.parameters.solver == Solver::nodal;
+    const bool may = car.ahead != Ahead::nothing && !car.body.touching && car.levels->size() > 1 && !stays(world, car) &&
+                     car.parameters.solver == Solver::nodal;
     if (!may) {
       if (car.ahead == Ahead::hit && car.body.settled) {
         left -= crash_work(world, car, *car.car);
@@ -109,11 +118,14 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
     }
   }
   std::vector<Instance*> changing;
+  const bool room = world.budget == 0 || left >= spare * double(world.budget);
   for (const Choice& choice : choices) {
     Instance& car = *choice.car;
-    if (*choice.level == car.car) continue;
-    if (car.level_tick > 0 && double(world.tick - car.level_tick) < shortest_stay * world.rate) continue;
-    car.next_level = *choice.level;
+    const auto &from = car.car, &to = *choice.level;
+    // Not to and fro where the budget has just room: each change loses some of the dents.
+    const bool worth_it = nodes(*to) < nodes(*from) || world.budget == 0 || (car.ahead == Ahead::hit && room);
+    if (to == from || !worth_it) continue;
+    car.next_level = to;
     changing.push_back(&car);
   }
   return changing;

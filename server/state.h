@@ -47,6 +47,8 @@ struct Instance {
   uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
   Response response;
   uint8_t fresh = 0;  // ticks in which more of it may take part than did in the last one: it is being woken
+  // The last tick could change nothing of it, and nothing that it depends on has changed since: nor does this one.
+  bool idle = false;
   // Of one tick.
   std::optional<Intent> intent;  // the latest; consumed
   Ahead ahead = Ahead::nothing;
@@ -103,6 +105,7 @@ struct World {
   std::map<std::string, Instance> cars;
   std::map<std::string, Host> hosts;
   std::vector<Obstacle> obstacles;  // of all hosts: by host, then by id
+  bool obstacles_changed = true;    // since the last tick
 
   Tally tally;
   std::function<double()> clock;
@@ -126,8 +129,8 @@ void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
 Host* find_or_add_host(World&, const std::string& id);
 // Drops a host that has nothing left.
 void release_host(World&, const std::string& id);
-// What comes near the car, so that it may change its level (levels.cpp).
-Ahead look_ahead(const World&, const Instance&);
+// What comes near the car, so that it may change its level; woken: in this very tick (levels.cpp).
+Ahead look_ahead(const World&, const Instance&, bool woken);
 // Those that change their level now: to the one that the importance asks for, or a coarser one that the budget has room for.
 std::vector<Instance*> choose_levels(const World&, const std::vector<Instance*>&);
 void change_level(const World&, Instance&, Worker&);

@@ -95,31 +95,32 @@ void show(const World& world, Instance& car, Worker& worker) {
   }
 }
 
-// Whether something may meet a car at rest within the tick.
-bool woken_soon(const World& world, const Instance& car) {
-  return car.ahead == Ahead::hit && may_meet(car.car->model, car.body, car.motion, car.mass, world.obstacles, 1 / world.rate);
-}
-
 // Where the car stands, and whether it will take part.
-void prepare_car(const World& world, Instance& car, Worker&) {
-  const Pose before = car.motion.pose;
+void prepare_car(const World& world, Instance& car, Worker& worker) {
+  car.idle = car.idle && !world.obstacles_changed;
+  if (car.idle) return;
   receive(world, car);
-  const bool put_elsewhere = car.body.touching && !(car.motion.pose.position == before.position &&
-                                                    car.motion.pose.orientation.coeffs() == before.orientation.coeffs());
   car.changed = false;
-  car.ahead = look_ahead(world, car);
-  if (world.budget == 0) return;
+  const bool woken =
+      world.budget > 0 && car.body.settled &&
+      wakes(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body, car.motion);
+  car.ahead = look_ahead(world, car, woken);
   if (!car.body.settled && car.response.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
-    return;
+  } else {
+    car.fresh = !car.body.settled || woken ? waking : 0;
   }
-  car.fresh = !car.body.settled || put_elsewhere || woken_soon(world, car) ? waking : 0;
 }
 
 // What may change of a body that is not solved: an obstacle that it rests against goes on or leaves.
-auto of_rest(const Body& body) { return std::tuple(body.touching, body.settled, body.drift, body.force, body.moment); }
+auto of_rest(const Body& body) {
+  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment);
+}
+
+bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.angular_velocity.isZero(0); }
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
+  if (car.idle) return;
   const bool told = std::none_of(car.told.begin(), car.told.end(), [](const Told& each) { return each.due || each.flowing; });
   const bool resting = car.body.settled && told && !car.changed;
   const auto before = of_rest(car.body);
@@ -128,6 +129,7 @@ void advance_car(const World& world, Instance& car, Worker& worker) {
   const bool same_shape = resting && car.response.substeps == 0 && !car.response.recovered;
   if (!same_shape) show(world, car, worker);
   if (!same_shape || of_rest(car.body) != before) car.hashes[0] = hash(car.body);
+  car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
 }
 
 // Cars know nothing of each other within a tick, so any number of workers gives the same.
@@ -201,8 +203,10 @@ void advance_cars(World& world, int threads) {
 }
 
 void move_obstacles(World& world) {
+  world.obstacles_changed = false;
   for (Obstacle& obstacle : world.obstacles) {
     if (obstacle.velocity.isZero(0) && obstacle.angular_velocity.isZero(0)) continue;
+    world.obstacles_changed = true;
     obstacle.pose = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, 1 / world.rate);
   }
 }
@@ -304,6 +308,7 @@ void renew(World& world) {
 }
 
 void renew(Instance& car) {
+  car.idle = false;
   for (Told& told : car.told) told.due = true;
 }
 

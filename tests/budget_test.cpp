@@ -122,35 +122,73 @@ TEST(Budget, TooSmallForAllLeavesEachASubstepOfEightSweeps) {
   }
 }
 
-TEST(Budget, CountsCarsThatRestAgainstAWallWhenTheirHostPutsThemElsewhere) {
+const host::Thing front_wall{1, schema::Shape::box, {0.5f, 50, 5}, pose_at(2.25 + 0.02 + 0.5, 0, 1)};
+
+// Cars that rest against the wall, or stand before it where they do not, as fast as the host says; then what wakes them all.
+void expect_woken_within_the_budget(float speed,
+                                    const std::function<void(Inbox&, const std::function<Message(double x)>&)>& wake) {
   const WorldHandle world = make_world(60, 0.0005f);
   add_asset(*world, box());
-  Inbox inbox = {
-      {"host/game/obstacles", host::obstacles(1, {{1, schema::Shape::box, {0.5f, 50, 5}, pose_at(2.25 + 0.02 + 0.5, 0, 1)}})}};
-  const auto put_at = [&](uint64_t sequence, double x, float speed) {
+  Outbox outbox;
+  uint64_t sequence = 0;
+  const std::function<Message(double)> all_at = [&](double x) -> Message {
     std::vector<CarPose> poses;
     for (int k = 0; k < cars; ++k) poses.push_back({std::to_string(k), pose_at(x, 4 * k), {speed, 0, 0}});
-    inbox.push_back({"host/game/poses", host::poses(sequence, poses)});
+    return {"host/game/poses", host::poses(++sequence, poses)};
   };
+  Inbox inbox = {{"host/game/obstacles", host::obstacles(1, {front_wall})}};
   for (int k = 0; k < cars; ++k)
     inbox.push_back({"car/" + std::to_string(k), host::spawn(box()->hash, "game", pose_at(0, 4 * k))});
-  put_at(1, 0, 12);
-  Outbox outbox;
-  const auto rests = [&] {
+  inbox.push_back(all_at(0));
+  const bool rest = speed > 0;
+  const auto at_rest = [&] {
     return std::all_of(world->cars.begin(), world->cars.end(),
-                       [](const auto& one) { return one.second.body.settled && one.second.body.touching; });
+                       [&](const auto& one) { return one.second.body.settled && one.second.body.touching == rest; });
   };
-  for (int k = 0; k < 200 && !(k > 2 && rests()); ++k) {
+  for (int k = 0; k < 200 && !(k > 2 && at_rest()); ++k) {
     tick(*world, inbox, outbox, 1);
-    inbox.clear();
-    put_at(uint64_t(2 + k), 0.3, 0);
+    speed = 0;
+    inbox = {all_at(rest ? 0.3 : 0)};
   }
-  ASSERT_TRUE(rests());
+  ASSERT_TRUE(at_rest());
   inbox.clear();
-  put_at(1000, -20, 0);
   inbox.push_back(budget_message(1));
+  wake(inbox, all_at);
   tick(*world, inbox, outbox, 1);
   for (const auto& [id, car] : world->cars) EXPECT_EQ(car.response.sweeps, 8u) << "as few as there may be";
+}
+
+TEST(Budget, CountsCarsThatRestAgainstAWallWhenTheirHostPutsThemElsewhere) {
+  expect_woken_within_the_budget(12, [](Inbox& inbox, const auto& all_at) { inbox.push_back(all_at(-20)); });
+}
+TEST(Budget, CountsCarsThatRestAgainstAWallWhenItIsTakenAway) {
+  expect_woken_within_the_budget(12, [](Inbox& inbox, const auto&) {
+    inbox.push_back({"host/game/obstacles", host::obstacles(2, {})});
+  });
+}
+TEST(Budget, CountsCarsThatStandWhenTheyArePutIntoAWall) {
+  expect_woken_within_the_budget(0, [](Inbox& inbox, const auto& all_at) { inbox.push_back(all_at(0.2)); });
+}
+TEST(Budget, CountsCarsThatStandWhenAWallIsPutIntoThem) {
+  expect_woken_within_the_budget(0, [](Inbox& inbox, const auto&) {
+    host::Thing wall = front_wall;
+    wall.pose = pose_at(2.25 + 0.3, 0, 1);
+    inbox.push_back({"host/game/obstacles", host::obstacles(2, {wall})});
+  });
+}
+
+// 240 ticks a second: a tick is no longer than a sub-step, so that there is nothing to halve.
+TEST(Budget, TakesNoSubstepsAwayWhereATickIsOne) {
+  const WorldHandle world = make_world(240, 0.0005f);
+  add_asset(*world, box());
+  Outbox outbox;
+  tick(*world,
+       {budget_message(1),
+        {"car/a", host::spawn(box()->hash, "game", pose_at(0))},
+        {"host/game/obstacles", host::obstacles(1, {front_wall})},
+        {"host/game/poses", host::poses(1, {{"a", pose_at(0), {12, 0, 0}}})}},
+       outbox, 1);
+  EXPECT_EQ(world->cars.at("a").response.sweeps, 4u);
 }
 
 TEST(Budget, LeavesAFineMeshItsSubsteps) {

@@ -5,6 +5,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "asset/map_level.h"
 #include "box_car.h"
@@ -95,6 +96,26 @@ TEST(Transfer, OfATurnedInsideOutTetKeepsItsFlowAndStaysFinite) {
 TEST(Levels, AreCarsOfTheSameSurfaceOnly) {
   EXPECT_TRUE(same_surface(*level(0), *level(2)));
   EXPECT_FALSE(same_surface(*level(0), *box_car({12, 6, 5})));
+}
+
+// One surface baked twice, with two masses: there is no map between levels of one size.
+TEST(Levels, AreOneOfEachSizeWhateverTheOrderInWhichTheyAreGiven) {
+  const auto heavy = read_car(box_car_bytes({5, 2, 2}, 2000, 4.5f, drawn), "heavy");
+  std::vector<std::shared_ptr<const Car>> all = {level(0), level(1), level(2), heavy};
+  std::sort(all.begin(), all.end());
+  const std::string& kept = std::min(level(2)->hash, heavy->hash);
+  do {
+    const WorldHandle world = make_world(60, 0.0005f);
+    for (const auto& car : all) add_asset(*world, car);
+    const Levels& levels = world->assets.at(level(0)->hash);
+    ASSERT_EQ(levels.size(), 3u);
+    EXPECT_EQ(levels[0], level(0));
+    EXPECT_EQ(levels[1], level(1));
+    EXPECT_EQ(levels[2]->hash, kept);
+    for (size_t i = 0; i < 3; ++i) {
+      for (size_t k = 0; k < 3; ++k) EXPECT_EQ(i != k, world->level_maps.contains({levels[i]->hash, levels[k]->hash}));
+    }
+  } while (std::next_permutation(all.begin(), all.end()));
 }
 
 // ---- the world --------------------------------------------------------------------------------------------------------------
@@ -229,8 +250,9 @@ TEST(Levels, WaitWhileAnObstacleTouches) {
   EXPECT_EQ(scene.nodes(), nodes(0));
 }
 
-// Three cars that will hit a wall within half a second, the second of which matters most. Returns their nodes.
-std::vector<size_t> before_a_pile_up(double share_of_what_three_fine_cars_take, float least = 0.5f) {
+// Three cars that will hit a wall within half a second, the second of which matters most. changed: it came to its level just
+// now. Returns their nodes.
+std::vector<size_t> before_a_pile_up(double share_of_what_three_fine_cars_take, float least = 0.5f, const char* changed = "") {
   Scene scene;
   Inbox inbox = {scene.wall(3)};
   std::vector<CarPose> poses;
@@ -242,6 +264,9 @@ std::vector<size_t> before_a_pile_up(double share_of_what_three_fine_cars_take, 
   }
   inbox.push_back({"host/game/poses", host::poses(++scene.sequence, poses)});
   scene.step(inbox);
+  for (auto& [id, car] : scene.world->cars) {
+    if (id == changed) car.level_tick = tick_count(*scene.world);
+  }
   const double fine = crash_work(*scene.world, scene.car(), *level(0));
   scene.step({budget_message(uint64_t(share_of_what_three_fine_cars_take * 3 * fine))});
   std::vector<size_t> out;
@@ -254,6 +279,21 @@ TEST(Levels, AreNoFinerThanTheBudgetHasRoomForWhereCarsAreAboutToBeHit) {
   EXPECT_EQ(before_a_pile_up(1, 1), (Nodes{nodes(0), nodes(0), nodes(0)}));
   EXPECT_EQ(before_a_pile_up(0.001, 1), (Nodes{nodes(2), nodes(2), nodes(2)}));
   EXPECT_EQ(before_a_pile_up(0.6, 0.9f), (Nodes{nodes(1), nodes(0), nodes(1)})) << "those that matter less go first";
+  EXPECT_EQ(before_a_pile_up(0.6, 0.9f, "a"), (Nodes{nodes(0), nodes(1), nodes(1)})) << "what may not change makes no room";
+}
+
+TEST(Levels, ComeBackToAFinerOneOnlyWhereTheBudgetHasRoomToSpare) {
+  for (const auto& [share, which] : std::vector<std::pair<double, int>>{{1.1, 2}, {1.3, 0}}) {
+    Scene scene;
+    scene.spawn();
+    scene.step({scene.wall(8), scene.pose(0.1f, 12)});
+    const double fine = crash_work(*scene.world, scene.car(), *level(0));
+    scene.step({scene.wall(4), scene.pose(0.1f, 12)});
+    ASSERT_EQ(scene.nodes(), nodes(2));
+    for (int k = 0; k < 70; ++k) scene.step({scene.wall(40), scene.pose(1, 12)});
+    scene.step({scene.wall(4), scene.pose(1, 12), budget_message(uint64_t(share * fine))});
+    EXPECT_EQ(scene.nodes(), nodes(which)) << share;
+  }
 }
 
 TEST(Levels, OfCarsThatStandBesideSomethingDoNotFollowTheBudget) {
@@ -282,18 +322,32 @@ TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   EXPECT_EQ(other.car().told[0].latest, scene.car().told[0].latest);
 }
 
+// Forty cars in rows before walls, half of which change their level in the same tick; more than a worker takes at once.
 std::vector<uint64_t> hashes(int threads) {
   Scene scene;
   scene.threads = threads;
-  scene.spawn();
-  std::vector<uint64_t> out;
-  scene.step({scene.wall(0.3)});
-  for (int k = 0; k < 150; ++k) {
-    scene.step({scene.pose(k < 20 ? 1.0f : k < 90 ? 0.5f : 0.1f, k < 6 ? 12 : 0, k < 6 ? 0.2 * k : 0)});
-    if (k == 10) scene.step({scene.wall_behind(0.02)});
-    out.push_back(hash(*scene.world));
+  Inbox inbox = {scene.wall(1.5)};
+  std::vector<CarPose> poses;
+  for (int k = 0; k < 40; ++k) {
+    const std::string id = "car" + std::to_string(k);
+    inbox.push_back({"car/" + id, host::spawn(level(0)->hash, "game", pose_at(0, 0.2 * k - 4))});
+    poses.push_back({id, pose_at(0, 0.2 * k - 4), {12, 0, 0}});
+    poses.back().importance = k % 2 ? 1.0f : k % 4 ? 0.5f : 0.1f;
   }
-  EXPECT_EQ(scene.nodes(), nodes(2));
+  inbox.push_back({"host/game/poses", host::poses(++scene.sequence, poses)});
+  inbox.push_back(budget_message(3'000'000));
+  std::vector<uint64_t> out;
+  std::map<size_t, int> sizes;
+  uint64_t most = 0;
+  for (int k = 0; k < 25; ++k) {
+    scene.step(inbox);
+    inbox.clear();
+    out.push_back(hash(*scene.world));
+    most = std::max(most, work(*scene.world).done);
+  }
+  for (const auto& [id, car] : scene.world->cars) ++sizes[car.body.node.size()];
+  EXPECT_GE(sizes.size(), 2u);
+  EXPECT_GT(most, 0u);
   return out;
 }
 

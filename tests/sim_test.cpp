@@ -136,6 +136,96 @@ TEST(Contacts, WhateverComesNearIsACandidate) {
   EXPECT_GT(passed_over, 300);
 }
 
+TEST(Contacts, WhatIsDrivenAtIsMetAndWhatIsPassedByIsNot) {
+  Crash crash;
+  const auto meets = [&](const Eigen::Vector3d& velocity, const Eigen::Vector3d& at, const Vec3& half, double driven = 0) {
+    Obstacle box;
+    make_box(half, box);
+    box.pose.position = at;
+    box.velocity.x() = driven;
+    crash.motion.velocity = velocity;
+    return will_meet(crash.model, crash.body, crash.motion, crash.mass, {&box, 1}, 0.5);
+  };
+  const double nose = crash.front;
+  const Vec3 wall(0.5f, 5, 5), rail(50, 0.1f, 1), pole(0.05f, 0.05f, 2);
+  EXPECT_TRUE(meets({20, 0, 0}, {nose + 9, 0, 0}, wall)) << "ahead";
+  EXPECT_TRUE(meets({20, 0, 0}, {nose + 5, 0.5, 0}, pole));
+  EXPECT_TRUE(meets({0, 0, 0}, {nose + 5, 0, 0}, wall, -20)) << "it comes";
+  EXPECT_FALSE(meets({20, 0, 0}, {nose + 11, 0, 0}, wall)) << "not yet";
+  EXPECT_FALSE(meets({20, 0, 0}, {-nose - 1, 0, 0}, wall)) << "behind";
+  EXPECT_FALSE(meets({20, 0, 0}, {0, 1.2, 0}, rail)) << "driven along, at 0.2 m";
+  EXPECT_FALSE(meets({20, 0, 0}, {nose + 5, 1.3, 0}, pole)) << "passed by, at 0.35 m";
+  EXPECT_FALSE(meets({0, 0, 0}, {nose + 0.52, 0, 0}, wall)) << "stood beside";
+  EXPECT_FALSE(meets({1e-3, 0, 0}, {nose + 0.5, 0, 0}, wall)) << "a host that rounds";
+}
+
+// Steady motion says that the light car stands: it is the block that drives it through the plate within one tick.
+TEST(Contacts, ACarIsNotPushedThroughWhatItStandsBeside) {
+  Crash crash;
+  crash.mass.mass = 100;
+  crash.mass.inertia *= 100.0 / double(crash.model.mass);
+  Obstacle plate, block;
+  make_box({0.01f, 5, 5}, plate);
+  plate.pose.position = {crash.front + 0.06, 0, 0};
+  make_box({0.5f, 5, 5}, block);
+  block.pose.position = {-crash.front - 0.51, 0, 0};
+  block.velocity.x() = 15;
+  crash.obstacles = {plate, block};
+  for (int k = 0; k < 4; ++k) {
+    crash.tick();
+    for (const Vec3& node : crash.body.node) {
+      const double x = (crash.motion.pose.position + crash.motion.pose.orientation * node.cast<double>()).x();
+      ASSERT_LT(x, crash.front + 0.06) << "tick " << k;
+    }
+  }
+}
+
+TEST(Deform, GivesTheSameWhateverItsScratchWasUsedForBefore) {
+  const auto hit = [](const std::shared_ptr<const Car>& car, Scratch& scratch) {
+    const Model& model = car->model;
+    Body body = make_body(model);
+    Motion motion;
+    motion.velocity = {12, 1, 0};
+    Obstacle wall;
+    make_box({0.5f, 5, 5}, wall);
+    wall.pose.position = {2.25 + 0.55, 0, 0};
+    for (int k = 0; k < 3; ++k)
+      deform(model, {}, {model.mass, model.inertia.cast<double>(), model.center_of_mass.cast<double>()}, {&wall, 1},
+             tick_seconds, scratch, body, motion);
+    return hash(body);
+  };
+  const std::shared_ptr<const Car> cars[] = {box_car({12, 6, 4}), box_car({8, 4, 3}), box_car({5, 2, 2})};
+  for (const auto& first : cars) {
+    for (const auto& then : cars) {
+      const ScratchHandle fresh = make_scratch(), used = make_scratch();
+      hit(first, *used);
+      EXPECT_EQ(hit(then, *used), hit(then, *fresh)) << first->model.node.size() << ", " << then->model.node.size();
+    }
+  }
+}
+
+TEST(Deform, SaysBeforehandWhichSettledBodiesATickWillSolve) {
+  std::mt19937 random(11);
+  int solved = 0, not_solved = 0;
+  for (int scene = 0; scene < 400; ++scene) {
+    Crash crash;
+    crash.motion.velocity = Eigen::Vector3d::Random() * (scene % 3 ? 8.0 : 0.0);
+    Obstacle obstacle = random_obstacle(scene % 4, random);
+    obstacle.pose.position *= 0.4;
+    if (scene % 2) obstacle.velocity.setZero(), obstacle.angular_velocity.setZero();
+    crash.obstacles.push_back(obstacle);
+    for (int k = 0; k < 3 && crash.body.settled; ++k) {
+      const bool said = wakes(crash.model, crash.parameters, crash.mass, crash.obstacles, tick_seconds, *crash.scratch,
+                              crash.body, crash.motion);
+      const bool was = crash.tick().substeps > 0;
+      EXPECT_EQ(was, said) << "scene " << scene;
+      ++(was ? solved : not_solved);
+    }
+  }
+  EXPECT_GT(solved, 100);
+  EXPECT_GT(not_solved, 100);
+}
+
 TEST(Material, AValueOutsideItsRangeIsNamedWithTheRange) {
   Parameters parameters;
   EXPECT_FALSE(out_of_range(parameters).has_value());

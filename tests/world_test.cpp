@@ -296,18 +296,20 @@ TEST(World, AHostThatIsStillForAMomentIsToldWhatItMissed) {
   EXPECT_NEAR(double(reactions->cars()->Get(0)->velocity()->x()), scene.car("a").motion.velocity.x(), 1e-5);
 }
 
+constexpr int pile = 40;  // more than a worker takes at once
+
 std::vector<uint64_t> hashes_of_a_pile_up(int threads) {
   Scene scene;
   scene.threads = threads;
   std::vector<uint64_t> hashes;
   Inbox inbox = {
       {"host/game/obstacles", host::obstacles(1, {wall(2.3f), {2, schema::Shape::capsule, {0.2f, 2, 0}, pose_at(2.4, 0.5)}})}};
-  for (int k = 0; k < 6; ++k) {
-    inbox.push_back({"car/" + std::to_string(k), host::spawn(box()->hash, "game", pose_at(0, 0.3 * k)), uint64_t(k + 1)});
+  for (int k = 0; k < pile; ++k) {
+    inbox.push_back({"car/" + std::to_string(k), host::spawn(box()->hash, "game", pose_at(0, 0.06 * k)), uint64_t(k + 1)});
     inbox.push_back({"car/" + std::to_string(k), quick()});
   }
   std::vector<CarPose> cars;
-  for (int k = 0; k < 6; ++k) cars.push_back({std::to_string(k), pose_at(0, 0.3 * k), {float(6 + 2 * k), 0, 0}});
+  for (int k = 0; k < pile; ++k) cars.push_back({std::to_string(k), pose_at(0, 0.06 * k), {float(6 + 2 * (k % 6)), 0, 0}});
   inbox.push_back({"host/game/poses", host::poses(1, cars)});
   for (int k = 0; k < 8; ++k) {
     scene.step(k == 0 ? inbox : Inbox{});

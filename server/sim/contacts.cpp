@@ -12,10 +12,14 @@ Relative relative(const Pose& car, const Pose& obstacle) {
 
 namespace {
 
-// A car and an obstacle that may meet: seen from the obstacle at the start, and the distance below which a node is a candidate.
+// In will_meet: the way between two looks, m, less than half a car is long, and how many looks at most.
+constexpr float look_travel = 1, most_looks = 32;
+
+// A car and an obstacle that may meet: seen from the obstacle at the start, the farthest that a point of the car moves against
+// it, and the distance below which a node is a candidate.
 struct Approach {
   Relative start;
-  float near;
+  float travel, near;
 };
 
 // Whether the body's box is farther than `near` from the obstacle, beyond a plane that has all of it below.
@@ -40,17 +44,19 @@ Metres candidate_distance(Metres travel) {
 // What most obstacles are passed over by: they are far away. The same for all of them, of one car.
 class Reach {
  public:
-  Reach(const Model& model, const Body& body, const Motion& motion, double seconds)
+  Reach(const Model& model, const Body& body, const Motion& motion, const Mass& mass, double seconds)
       : centre_(motion.pose.position + motion.pose.orientation * model.center_of_mass.cast<double>()),
         velocity_(motion.velocity),
         speed_(motion.velocity.norm()),
-        turning_(3 * motion.angular_velocity.norm() * double(body.reach)),  // a bound, whatever it turns about
+        turning_(motion.angular_velocity.norm() *
+                 (3 * double(body.reach) + (mass.center - model.center_of_mass.cast<double>()).norm())),
         own_(double(body.reach) + 1e-3),
         seconds_(seconds) {}
-  bool excludes(const Obstacle& obstacle) const {
+  // travel: m, at least as far as this.
+  bool excludes(const Obstacle& obstacle, double travel = 0) const {
     if (!obstacle.angular_velocity.isZero(0)) return false;  // seen from it the car moves, the faster the farther away
     const double speed = obstacle.velocity.isZero(0) ? speed_ : (velocity_ - obstacle.velocity).norm();
-    const double far = own_ + double(obstacle.reach) + candidate_distance((speed + turning_) * seconds_);
+    const double far = own_ + double(obstacle.reach) + candidate_distance(std::max(travel, (speed + turning_) * seconds_));
     return (centre_ - obstacle.pose.position).squaredNorm() > far * far;
   }
 
@@ -60,15 +66,15 @@ class Reach {
 };
 
 std::optional<Approach> approach(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
-                                 const Obstacle& obstacle, double seconds) {
+                                 const Obstacle& obstacle, double seconds, float least = 0) {
   const Relative start = relative(motion.pose, obstacle.pose);
   const Relative end =
       relative(advance(motion, mass, seconds), advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, seconds));
   const Mat3 turn = end.rotation - start.rotation;
   const float travel = (turn * model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
-  const float near = candidate_distance(travel);
+  const float near = candidate_distance(std::max(travel, least));
   if (beyond(obstacle, start, body, near)) return std::nullopt;
-  return Approach{start, near};
+  return Approach{start, travel, near};
 }
 
 bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& node) {
@@ -81,7 +87,7 @@ bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& nod
 
 bool may_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass, std::span<const Obstacle> obstacles,
               double seconds) {
-  const Reach reach(model, body, motion, seconds);
+  const Reach reach(model, body, motion, mass, seconds);
   return std::any_of(obstacles.begin(), obstacles.end(), [&](const Obstacle& obstacle) {
     if (reach.excludes(obstacle)) return false;
     const auto found = approach(model, body, motion, mass, obstacle, seconds);
@@ -90,13 +96,36 @@ bool may_meet(const Model& model, const Body& body, const Motion& motion, const 
   });
 }
 
+bool will_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
+               std::span<const Obstacle> obstacles, double seconds) {
+  const Reach reach(model, body, motion, mass, seconds);
+  return std::any_of(obstacles.begin(), obstacles.end(), [&](const Obstacle& obstacle) {
+    if (reach.excludes(obstacle)) return false;
+    const auto found = approach(model, body, motion, mass, obstacle, seconds);
+    if (!found || found->travel < contact_margin) return false;
+    const int steps = int(std::min(most_looks, 1 + found->travel / look_travel));
+    for (int k = 1; k <= steps; ++k) {
+      const double time = seconds * k / steps;
+      const Pose there = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, time);
+      if (!beyond(obstacle, relative(advance(motion, mass, time), there), body, 0)) return true;
+    }
+    return false;
+  });
+}
+
 void find_candidates(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
                      std::span<const Obstacle> obstacles, double seconds, std::vector<Candidates>& out) {
   out.clear();
-  const Reach reach(model, body, motion, seconds);
+  const Reach reach(model, body, motion, mass, seconds);
+  float travel = -1;
+  for (const Obstacle& obstacle : obstacles) {
+    if (reach.excludes(obstacle)) continue;
+    if (const auto found = approach(model, body, motion, mass, obstacle, seconds)) travel = std::max(travel, found->travel);
+  }
+  if (travel < 0) return;
   for (uint32_t index = 0; index < obstacles.size(); ++index) {
-    if (reach.excludes(obstacles[index])) continue;
-    const auto found = approach(model, body, motion, mass, obstacles[index], seconds);
+    if (reach.excludes(obstacles[index], double(travel))) continue;
+    const auto found = approach(model, body, motion, mass, obstacles[index], seconds, travel);
     if (!found) continue;
     Candidates candidates{index, {}};
     for (uint32_t node = 0; node < body.node.size(); ++node) {

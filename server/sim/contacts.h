@@ -45,7 +45,13 @@ struct Candidates {
 // Whether a node can meet an obstacle within so many seconds, if all move on steadily.
 bool may_meet(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
 
-// The choice of candidates, once a tick, from the car's and the obstacles' steady motions.
+// Whether the box around the body meets an obstacle within so many seconds, if all move on steadily, and move at all: not what
+// it passes by, drives along or stands beside. Seen at moments a metre apart, so not what is thinner than the car and crosses
+// it sideways in between.
+bool will_meet(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
+
+// The choice of candidates, once a tick, from the car's and the obstacles' steady motions. An obstacle that comes may push the
+// car on into another one within the tick: nodes are candidates of all as far away as any of them moves against the car.
 void find_candidates(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds,
                      std::vector<Candidates>& out);
 

@@ -41,17 +41,17 @@ float after_touch(std::span<const Contact> contacts) {
   return earliest < 1 ? std::max(shortest_substep, 1 - earliest) : 1;
 }
 
-// A settled body wakes when an obstacle enters it, and when the one that it rests against has moved on or leaves.
-bool woken(double h, std::span<const Contact> contacts, Body& body) {
-  if (!body.settled) return true;
+// A settled body wakes when an obstacle enters it, and when the one that it rests against has moved on or leaves. drift: way of
+// the obstacles along it since it settled, m.
+bool woken(double h, std::span<const Contact> contacts, const Body& body, float& drift) {
   if (!body.touching) {
     return std::any_of(contacts.begin(), contacts.end(), [](const Contact& c) { return c.after < -wake_depth; });
   }
   if (contacts.empty()) return true;
   float most = 0;
   for (const Contact& c : contacts) most = std::max(most, (c.carried - body.node[c.node]).norm());
-  if (double(most) > double(settle_speed) * h) body.drift += most;
-  return body.drift > wake_depth;
+  if (double(most) > double(settle_speed) * h) drift += most;
+  return drift > wake_depth;
 }
 
 // A body that holds numbers that are not finite has lost its shape there: those nodes and tets are as baked again.
@@ -78,6 +78,7 @@ void heal(const Model& model, Body& body) {
   if (!std::isfinite(body.stored)) body.stored = 0;
   if (!std::isfinite(body.owed)) body.owed = 0;
   if (!body.force.allFinite() || !body.moment.allFinite()) body.force.setZero(), body.moment.setZero();
+  measure_reach(model, body);
 }
 
 // How much of an impulse contacts give: so much that what the motion loses is what the body takes. The forces at both ends of a
@@ -208,7 +209,7 @@ int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obs
   double modulus = 0;
   for (const Material& material : parameters.region) modulus = std::max(modulus, double(material.young_modulus));
   const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / mass.mass);
-  const int count = std::max(1, int(std::lround(seconds / substep_seconds(parameters))));
+  const int count = substep_count(parameters, seconds);
   int times = 1;
   for (int k = 0; k < halvings; ++k) {
     const double h = seconds / (count * times) / coarseness(parameters);
@@ -242,7 +243,7 @@ float step(const Model& model, const Parameters& parameters, const Mass& mass, s
     }
   }
   motion.pose = to;
-  if (!woken(now.seconds, scratch.contacts, body)) {
+  if (body.settled && !woken(now.seconds, scratch.contacts, body, body.drift)) {
     if (body.touching) {  // the obstacle presses on a body that has come to rest under it
       push(now.seconds * body.force, now.seconds * body.moment, mass, motion);
       response.impulse += now.seconds * body.force;
@@ -327,7 +328,7 @@ void tick_classic(const Model& model, const Parameters& parameters, const Mass& 
   motion.pose = to;
   body.force.setZero();  // `classic` knows no forces
   body.moment.setZero();
-  if (!woken(seconds, scratch.contacts, body)) return;
+  if (body.settled && !woken(seconds, scratch.contacts, body, body.drift)) return;
   keep(model, scratch, body);
   const RoomTimer room(timer, Room::solve);
   scratch.start = body.node;
@@ -351,6 +352,24 @@ bool finite(const Body& body, const Motion& motion) {
 
 void ScratchDeleter::operator()(Scratch* scratch) const { delete scratch; }
 ScratchHandle make_scratch() { return ScratchHandle(new Scratch); }
+
+bool wakes(const Model& model, const Parameters& parameters, const Mass& mass, std::span<const Obstacle> obstacles,
+           double seconds, Scratch& scratch, const Body& body, Motion motion) {
+  find_candidates(model, body, motion, mass, obstacles, seconds, scratch.candidates);
+  if (scratch.candidates.empty()) return body.touching;
+  const int count =
+      parameters.solver == Solver::classic ? 1 : substeps(parameters, mass, obstacles, seconds, scratch, body, motion);
+  const double h = seconds / count;
+  float drift = body.drift;
+  for (int k = 0; k < count; ++k) {
+    const Pose to = path(motion, mass, body, h);
+    find_contacts(body, obstacles, scratch.candidates, motion.pose, to, k * h, h, scratch.contacts);
+    motion.pose = to;
+    if (woken(h, scratch.contacts, body, drift)) return true;
+    if (body.touching) push(h * body.force, h * body.moment, mass, motion);
+  }
+  return false;
+}
 
 Response deform(const Model& model, const Parameters& parameters, const Mass& mass, std::span<const Obstacle> obstacles,
                 double seconds, Scratch& scratch, Body& body, Motion& motion, Timer* timer) {

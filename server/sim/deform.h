@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <span>
 
@@ -58,6 +59,15 @@ ScratchHandle make_scratch();
 // Advances body and motion by `seconds`. The obstacles stand at their poses at the start of the tick and move steadily.
 Response deform(const Model&, const Parameters&, const Mass&, std::span<const Obstacle>, double seconds, Scratch&, Body&,
                 Motion&, Timer* = nullptr);
+
+// Whether deform() will solve the settled body.
+bool wakes(const Model&, const Parameters&, const Mass&, std::span<const Obstacle>, double seconds, Scratch&, const Body&,
+           Motion);
+
+// Sub-steps of a tick, before they are halved.
+inline int substep_count(const Parameters& parameters, double seconds) {
+  return std::max(1, int(std::lround(seconds / substep_seconds(parameters))));
+}
 
 // Surface vertices in the car's frame. vertex: as many as the model's.
 void skin(const Model&, const Body&, std::span<Vec3> vertex);
