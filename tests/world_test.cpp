@@ -729,19 +729,12 @@ TEST(State, ADamagedWorldIsRefusedAndLeavesNothing) {
     EXPECT_TRUE(cars(*copy.world).empty());
   }
   std::mt19937 random(1);
-  int loaded = 0;
   for (int k = 0; k < 500; ++k) {
     Bytes damaged = bytes;
     damaged[random() % damaged.size()] ^= std::byte(1 << random() % 8);
-    try {
-      load_world(damaged, *copy.world);
-      ++loaded;  // a bit that the hash does not cover: of the solver's last steps
-      copy.step();
-    } catch (const std::runtime_error&) {
-      EXPECT_TRUE(cars(*copy.world).empty());
-    }
+    EXPECT_THROW(load_world(damaged, *copy.world), std::runtime_error);
+    EXPECT_TRUE(cars(*copy.world).empty());
   }
-  EXPECT_LT(loaded, 300);
   Scene without(cell());
   EXPECT_THROW(load_world(bytes, *without.world), std::runtime_error) << "an asset that is not there";
 }
@@ -780,9 +773,6 @@ TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
     load_world(good, *changed.world);
     ASSERT_GT(changed.car("a").body.history.count, 0);
     change(*changed.world, changed.car("a"));
-    Instance& car = changed.car("a");
-    car.hashes = {hash(car.body), hash(car.told[0].keyframe), hash(car.told[0].latest), hash(car.told[1].keyframe),
-                  hash(car.told[1].latest)};
     const std::string why = refusal([&] { load_world(save_world(*changed.world), *copy.world); });
     EXPECT_NE(why.find("damaged: "), std::string::npos) << what;
     EXPECT_EQ(why.find("sum"), std::string::npos) << what;

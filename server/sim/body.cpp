@@ -94,12 +94,11 @@ uint64_t hash(const Body& body) {
   sum = chain(body.hardening, sum);
   sum = chain(body.edge_rest, sum);
   sum = chain(body.tet_rest, sum);
-  // The changes themselves are known by their products.
+  // The changes themselves are known by their products; reach, low and high by the nodes.
   sum = XXH64(body.history.products.data(), sizeof body.history.products, sum);
   const double numbers[] = {body.absorbed,
                             body.stored,
                             body.owed,
-                            double(body.reach),
                             double(body.touching),
                             double(body.settled),
                             double(body.lost),
@@ -112,13 +111,7 @@ uint64_t hash(const Body& body) {
                             body.force.z(),
                             body.moment.x(),
                             body.moment.y(),
-                            body.moment.z(),
-                            double(body.low.x()),
-                            double(body.low.y()),
-                            double(body.low.z()),
-                            double(body.high.x()),
-                            double(body.high.y()),
-                            double(body.high.z())};
+                            body.moment.z()};
   return XXH64(numbers, sizeof numbers, sum);
 }
 

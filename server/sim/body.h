@@ -12,19 +12,20 @@
 namespace crumple {
 
 struct Body {
-  std::vector<Vec3> node;                        // positions, car's frame, m
-  std::vector<Vec3> step;                        // displacement of the last sub-step, m: the predictor's history
-  float step_seconds = 0;                        // that it took; 0: none was made yet
-  std::vector<Gradients> gradients;              // per tet: rest gradients after plastic flow, 1/m
-  std::vector<float> hardening;                  // per tet: accumulated plastic strain
-  std::vector<float> edge_rest;                  // rest lengths of `classic`, m
-  std::vector<float> tet_rest;                   // rest volumes of `classic`, m^3
-  History history;                               // of the solver's last steps; empty when settled
-  double absorbed = 0;                           // J since spawn: plastic work, drag, friction
-  double stored = 0;                             // J: elastic, now
-  double owed = 0;                               // J of it that the motion did not give: the body may not return them
-  float reach = 0;                               // of the farthest node from the centre of mass, m
-  Vec3 low = Vec3::Zero(), high = Vec3::Zero();  // the box around the nodes, car's frame, m
+  std::vector<Vec3> node;            // positions, car's frame, m
+  std::vector<Vec3> step;            // displacement of the last sub-step, m: the predictor's history
+  float step_seconds = 0;            // that it took; 0: none was made yet
+  std::vector<Gradients> gradients;  // per tet: rest gradients after plastic flow, 1/m
+  std::vector<float> hardening;      // per tet: accumulated plastic strain
+  std::vector<float> edge_rest;      // rest lengths of `classic`, m
+  std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
+  History history;                   // of the solver's last steps; empty when settled
+  double absorbed = 0;               // J since spawn: plastic work, drag, friction
+  double stored = 0;                 // J: elastic, now
+  double owed = 0;                   // J of it that the motion did not give: the body may not return them
+  // Of the nodes (measure_reach): the farthest from the centre of mass, and the box around them in the car's frame; m.
+  float reach = 0;
+  Vec3 low = Vec3::Zero(), high = Vec3::Zero();
   // Of the contacts on the car at the end of the last sub-step, N and N m about the centre of mass, world axes.
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
