@@ -37,6 +37,7 @@ inline constexpr size_t asset_limit = size_t{256} << 20;
 struct FollowedCar {
   Surface surface;
   Surface coming;  // while `fresh`: what has arrived of what takes its place
+  Surface copied;  // asset, quantum and quanta of the last crumple_copy
   int level = 0;
   bool alive = false;
   bool dirty = false;
@@ -75,14 +76,15 @@ struct Asset {
 
 // Keeps the sentence of crumple_error and gives the status back.
 int fail(int status, std::string sentence);
+inline constexpr const char* no_network = "this session has no network: give options.connect to crumple_open";
 // Whether it can be the id of a scene, host or car: 1 to 32 of a-z A-Z 0-9 _ -.
 bool is_id(const char*);
 
 }  // namespace crumple::client
 
 struct Crumple {
-  Net* net = nullptr;
-  std::string root;  // "crumple/1/{scene}/"
+  Net* net = nullptr;  // NULL: all comes by crumple_feed
+  std::string root;    // "crumple/1/{scene}/"
   std::string host;
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
@@ -99,9 +101,13 @@ struct Crumple {
   std::set<std::string, std::less<>> names;  // of cars in reactions
   CrumpleHealth health{};
   CrumpleStatistics statistics{};
+  std::vector<float> displacement, position, normal;  // scratch of crumple_copy
+  std::vector<uint8_t> moved;
 };
 
 namespace crumple::client {
 // Takes in what arrived.
 void take(Crumple&, const NetEvent&);
+// Whether there is a surface that counts.
+bool held(const FollowedCar&);
 }  // namespace crumple::client

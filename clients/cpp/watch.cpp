@@ -71,7 +71,11 @@ void write_surface(Crumple* session, const std::string& id, const std::string& p
   const CrumpleMesh mesh = mesh_of(session, surface);
   need(crumple_surface(session, id.c_str(), &surface));
   std::vector<float> displacement(size_t{3} * mesh.vertex_count);
-  need(crumple_copy(session, id.c_str(), displacement.data(), 12, mesh.vertex_count));
+  CrumpleVertices vertices{};
+  vertices.displacement = displacement.data();
+  vertices.stride = 12;
+  vertices.capacity = mesh.vertex_count;
+  need(crumple_copy(session, id.c_str(), &vertices));
   write_obj(path, mesh.attribution, id, surface.tick, {mesh.vertex, displacement.size()}, displacement,
             {mesh.triangle, size_t{3} * mesh.triangle_count});
   std::printf("wrote %s\n", path.c_str());
