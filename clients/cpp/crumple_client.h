@@ -1,6 +1,6 @@
 // The door for hosts (games, simulators, scripts) and viewers: one session with one scene of a server, in plain C.
 // Pull-based: nothing is ever called back. crumple_poll takes in what has arrived; everything else reads what it left.
-// Strings and views that come out stay valid until the next crumple_poll of the session. One thread at a time uses a session.
+// Strings and views that come out stay valid until the next crumple_poll or crumple_feed. One thread at a time uses a session.
 // Units are SI, axes of the world are z up, of a car x forward, y left, z up; orientations are unit quaternions (x, y, z, w).
 // Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence.
 #pragma once
