@@ -7,6 +7,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <memory>
 #include <random>
 #include <thread>
@@ -491,10 +492,10 @@ struct Fed {
     std::vector<float> position, displacement, normal;
     uint32_t first = 0, count = 0;
   };
-  Copied copy() {
+  Copied copy(double time = 0) {
     const size_t size = 3 * size_t{mesh.vertex_count};
     Copied out{std::vector<float>(size), std::vector<float>(size), std::vector<float>(size)};
-    CrumpleVertices to{out.position.data(), out.displacement.data(), out.normal.data(), 12, mesh.vertex_count, 7, 7};
+    CrumpleVertices to{out.position.data(), out.displacement.data(), out.normal.data(), 12, mesh.vertex_count, time, 7, 7};
     EXPECT_EQ(crumple_copy(session.get(), "a", &to), CRUMPLE_OK) << crumple_error();
     out.first = to.first, out.count = to.count;
     return out;
@@ -583,7 +584,7 @@ TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
 
   // As members of a vertex of 8 floats, and not all of them.
   std::vector<float> strided(8 * size_t{fed.mesh.vertex_count}, -7.0f);
-  CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0};
+  CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0, 0};
   ASSERT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_OK);
   EXPECT_TRUE(std::equal(&strided[8 * 4], &strided[8 * 4 + 3], &copied.position[3 * 4]));
   EXPECT_TRUE(std::equal(&strided[8 * 4 + 3], &strided[8 * 4 + 6], &copied.normal[3 * 4]));
@@ -622,6 +623,78 @@ TEST(Client, OutsideOfWhatCopyNamesNothingHasChanged) {
   }
   ASSERT_EQ(fed.feed(quanta, 0.004f), CRUMPLE_OK);
   EXPECT_EQ(fed.copy().count, fed.mesh.vertex_count) << "the same quanta of another length";
+}
+
+TEST(Client, ShowsWhatWasAtATimeAndTheWayBetweenTwoTicks) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  const auto told = [&](uint64_t tick, int x) {
+    fed.tick = tick - 1;
+    ASSERT_EQ(fed.feed(fed.quanta_of([x](const Vec3&) { return std::array{x, 0, 0}; })), CRUMPLE_OK);
+  };
+  const auto shown = [&](double tick) { return fed.copy(tick / 60).displacement[0] / 0.0005f; };  // in quanta
+  EXPECT_EQ(crumple_time(session), 0);
+  told(100, 10);
+  EXPECT_NEAR(crumple_time(session), 100 / 60.0, 1e-9);
+  EXPECT_FLOAT_EQ(shown(-6), 10) << "from now on it is remembered, though the time is not known yet";
+  told(101, 20);
+  told(120, 40);  // it was still until then
+  told(121, 80);
+  EXPECT_FLOAT_EQ(fed.copy().displacement[0], 0.0005f * 80) << "the newest";
+  EXPECT_FLOAT_EQ(shown(99), 10);
+  EXPECT_FLOAT_EQ(shown(100), 10);
+  EXPECT_NEAR(shown(100.25), 12.5f, 1e-3f);
+  EXPECT_NEAR(shown(101), 20, 1e-3f);
+  EXPECT_NEAR(shown(119), 20, 1e-3f) << "nothing was told of that time";
+  EXPECT_NEAR(shown(119.5), 30, 1e-3f);
+  const auto half = fed.copy(120.5 / 60);
+  EXPECT_NEAR(half.displacement[0] / 0.0005f, 60, 1e-3f);
+  EXPECT_EQ(half.count, fed.mesh.vertex_count);
+  EXPECT_EQ(fed.copy(120.5 / 60).count, 0u);
+  CrumpleSurface surface{};
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_FALSE(surface.dirty) << "the newest was shown";
+  told(122, 90);
+  EXPECT_NEAR(shown(121), 80, 1e-3f);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_TRUE(surface.dirty) << "what was shown is older";
+  EXPECT_NEAR(shown(1000), 90, 1e-3f);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_FALSE(surface.dirty);
+
+  // Half a second is kept, and the last before it.
+  for (uint64_t tick = 123; tick < 200; ++tick) told(tick, static_cast<int>(tick));
+  EXPECT_NEAR(shown(125), 168, 1e-3f);
+  EXPECT_NEAR(shown(170.5), 170.5f, 1e-3f);
+  CrumpleVertices never{};
+  never.stride = 12;
+  never.time = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(crumple_copy(session, "a", &never), CRUMPLE_BAD_ARGUMENT);
+}
+
+TEST(Client, KnowsTheTimeOfTheServerWithinTheWayOfAMessage) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  ASSERT_TRUE(server.comes_to_hold(5, false));
+  EXPECT_EQ(crumple_time(server.viewer.get()), 0) << "an answer may be of any age";
+  server.tick = 6000;
+  const auto sent = std::chrono::steady_clock::now();
+  HealthReport report;
+  report.rate = 50;
+  report.tick = 6000;
+  server.put("crumple/1/main/health", encode_health(report));
+  for (int k = 0; k < 1000 && crumple_time(server.viewer.get()) == 0; ++k) server.held();
+  const double time = crumple_time(server.viewer.get());
+  const double passed = std::chrono::duration<double>(std::chrono::steady_clock::now() - sent).count();
+  EXPECT_GE(time, 120);
+  EXPECT_LE(time, 120 + passed);
+  // What comes late makes it no earlier.
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  const uint64_t before = server.surfaces();
+  server.put("crumple/1/main/car/a/delta/0", delta(6001, server.quanta, 5, server.quanta).front());
+  for (int k = 0; k < 1000 && server.surfaces() == before; ++k) server.held();
+  EXPECT_GE(crumple_time(server.viewer.get()), time + 0.05);
 }
 
 std::string scene_trouble(const std::string& text) {

@@ -116,6 +116,11 @@ class ThePackage(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "float32"):
             viewer.vertices("car1", crumple.Vertices(*[np.zeros((len(mesh.vertex), 3))] * 3))
 
+        # As it was: the same while nothing moves.
+        past = viewer.vertices("car1", time=viewer.time - 0.1)
+        np.testing.assert_array_equal(past.displacement, buffer["moved"])
+        self.assertGreaterEqual(viewer.time, dent.tick / 60)
+
         state = host.save("car1")
         host.repair("car1")
         viewer.until(lambda: self.held(viewer) not in (None, dent.hash), PATIENCE)

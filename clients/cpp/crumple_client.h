@@ -54,6 +54,10 @@ typedef struct CrumpleStatistics {
 } CrumpleStatistics;
 void crumple_statistics(const Crumple*, CrumpleStatistics* out);
 
+// The server's time now, s, as in CrumpleReaction: what came soonest of the last second or two tells it, so it may be late by a
+// message's way, and step a little. 0: nothing has come yet. Without a network: that of the newest tick.
+double crumple_time(const Crumple*);
+
 // A session without `connect` has no network: it takes in what it is given here, for recordings, tests and other ways to carry
 // messages. key: the message's, which is its topic in a recording. A message that the session does not follow is passed over;
 // one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing.
@@ -169,7 +173,7 @@ typedef struct CrumpleSurface {
   float quantum;          // m; of the level that is held
   const char* asset;      // hash of the baked car
   const int16_t* quanta;  // 3 a node: displacement from rest in quanta, car's frame
-  int dirty;              // changed since the last crumple_copy of this car
+  int dirty;              // no crumple_copy of this car has shown it yet
   int alive;              // 0: despawned, or its server is gone; without a network always 1
 } CrumpleSurface;
 // CRUMPLE_PENDING: followed, but nothing whole has arrived yet; or the session was not polled for half a second, and what is
@@ -184,6 +188,9 @@ typedef struct CrumpleVertices {
   float* normal;        // of length 1: of the triangles around the vertex, weighted by their area
   size_t stride;        // bytes from one vertex to the next
   size_t capacity;      // vertices that there is room for
+  // 0: the newest that is held. Otherwise what was at that time, s, of the last half second; between two ticks the way from one
+  // to the other. crumple_time() - 0.1, the same for the poses, moves smoothly however unevenly messages come.
+  double time;
   // Set by crumple_copy: outside of these `count` vertices nothing is other than after the last crumple_copy of this car.
   uint32_t first, count;
 } CrumpleVertices;

@@ -96,6 +96,8 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
       if (&surface == &car.coming) car.surface = std::exchange(car.coming, {});
       car.fresh &= !keyframe;
       car.dirty = true;
+      if (!asked_for) session.clock.take(car.surface.tick);
+      if (!car.past.empty()) remember(car, session.clock.rate);
       break;
     case Applied::part:
       break;
@@ -114,6 +116,7 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
 void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Reactions>(bytes);
   if (!message) return refuse(session, "reactions are not a well-formed FlatBuffers table");
+  session.clock.take(message->tick());
   for (const auto* from : *message->cars()) {
     if (!is_id(from->car()->c_str()) || session.names.size() > 100'000) {
       refuse(session, "a reaction names a car that can have no such id, or there are over 100000 cars");
@@ -153,6 +156,11 @@ void take_health(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Health>(bytes);
   if (!message) return refuse(session, "health is not a well-formed FlatBuffers table");
   ask_for_the_lost(session, *message);
+  if (message->rate() >= 1 && message->rate() <= 1000 && static_cast<double>(message->rate()) != session.clock.rate) {
+    session.clock = {};
+    session.clock.rate = message->rate();
+  }
+  session.clock.take(message->tick());
   CrumpleHealth& health = session.health;
   health = {message->tick(), message->late(), message->rate(), 0, 0, 0};
   if (message->rooms())
@@ -313,6 +321,7 @@ void send_obstacles_again(Crumple& session) {
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (key == "server") {
     session.server_alive = alive;
+    if (!alive) session.clock = {};  // the next one's ticks begin elsewhere
     if (alive) send_obstacles_again(session);
   }
   const std::string_view id = car_of(key);
@@ -401,6 +410,30 @@ int begin(Crumple& session, const char* connect, const char* network) {
 }
 
 }  // namespace
+
+void ServerClock::take(uint64_t at) {
+  const auto arrived = Clock::now();
+  if (arrived - begun > std::chrono::seconds(1)) {
+    before = std::exchange(least, std::numeric_limits<double>::infinity());
+    begun = arrived;
+  }
+  tick = std::max(tick, at);
+  least = std::min(least, std::chrono::duration<double>(arrived.time_since_epoch()).count() - static_cast<double>(at) / rate);
+}
+
+double ServerClock::now() const {
+  if (tick == 0) return 0;
+  return std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - std::min(least, before);
+}
+
+void remember(FollowedCar& car, double rate) {
+  const Surface& surface = car.surface;
+  std::deque<Past>& past = car.past;
+  if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
+  past.push_back({surface.tick, surface.quantum, surface.quanta});
+  // One that is older than that stays: it is what was until the next.
+  while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
+}
 
 bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
@@ -492,6 +525,11 @@ int crumple_poll(Crumple* session, uint64_t timeout_us) {
 }
 
 void crumple_statistics(const Crumple* session, CrumpleStatistics* out) { *out = session->statistics; }
+
+double crumple_time(const Crumple* session) {
+  const ServerClock& clock = session->clock;
+  return session->net ? clock.now() : static_cast<double>(clock.tick) / clock.rate;
+}
 
 int crumple_feed(Crumple* session, const char* key, const void* bytes, size_t size) {
   if (session->net)

@@ -11,14 +11,35 @@ using namespace crumple::client;
 
 namespace {
 
-void displace(const Asset& asset, const Surface& surface, std::vector<float>& out) {
+// Ticks between two messages of a car that deforms, by surface level: its way to the next shape takes so long.
+constexpr double interval[2] = {1, 6};
+
+// Displacements of the skin's nodes in quanta of a length that it gives back, m, at a time in ticks.
+float nodes_at(const FollowedCar& car, double tick, std::vector<float>& out) {
+  const auto& past = car.past;
+  const auto next =
+      std::find_if(past.begin(), past.end(), [&](const Past& each) { return static_cast<double>(each.tick) >= tick; });
+  const bool between = tick != 0 && next != past.end();
+  const Quanta& to = between ? next->quanta : car.surface.quanta;
+  out.assign(to.begin(), to.end());
+  if (!between) return car.surface.quantum;
+  const double left = (static_cast<double>(next->tick) - tick) / interval[car.level];
+  if (next == past.begin() || left <= 0) return next->quantum;
+  const Past& last = *std::prev(next);
+  const auto share = static_cast<float>(std::min(left, 1.0));
+  for (size_t i = 0; i < out.size(); ++i)
+    out[i] += share * (last.quantum / next->quantum * static_cast<float>(last.quanta[i]) - out[i]);
+  return next->quantum;
+}
+
+void displace(const Asset& asset, const std::vector<float>& node, float quantum, std::vector<float>& out) {
   out.resize(3 * asset.skin.size());
   for (size_t i = 0; i < asset.skin.size(); ++i) {
     const SkinVertex& vertex = asset.skin[i];
     for (size_t axis = 0; axis < 3; ++axis) {
       float sum = 0;
-      for (size_t k = 0; k < 4; ++k) sum += vertex.weight[k] * static_cast<float>(surface.quanta[3 * vertex.at[k] + axis]);
-      out[3 * i + axis] = surface.quantum * sum;
+      for (size_t k = 0; k < 4; ++k) sum += vertex.weight[k] * node[3 * vertex.at[k] + axis];
+      out[3 * i + axis] = quantum * sum;
     }
   }
 }
@@ -49,13 +70,11 @@ void find_normals(const CrumpleMesh& mesh, const std::vector<float>& position, s
 }
 
 // Vertices that moved since the last copy, and those that share a triangle with one, whose normals turn.
-void mark(const Asset& asset, const Surface& now, const Surface& before, std::vector<uint8_t>& moved) {
-  const bool comparable =
-      before.asset == now.asset && before.quantum == now.quantum && before.quanta.size() == now.quanta.size();
-  moved.assign(asset.skin.size(), !comparable);
-  if (!comparable || before.quanta == now.quanta) return;
+void mark(const Asset& asset, const std::vector<float>& now, const std::vector<float>& before, std::vector<uint8_t>& moved) {
+  moved.assign(asset.skin.size(), before.empty());
+  if (before.empty() || before == now) return;
   const auto differs = [&](uint32_t node) {
-    return std::memcmp(&now.quanta[size_t{3} * node], &before.quanta[size_t{3} * node], 3 * sizeof(int16_t)) != 0;
+    return std::memcmp(&now[size_t{3} * node], &before[size_t{3} * node], 3 * sizeof(float)) != 0;
   };
   constexpr uint8_t itself = 1, neighbour = 2;
   for (size_t i = 0; i < moved.size(); ++i)
@@ -83,6 +102,8 @@ int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
   FollowedCar& car = at->second;
   const Surface& surface = car.surface;
   if (!held(car)) return CRUMPLE_PENDING;
+  if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
+  if (out->time != 0 && car.past.empty()) remember(car, session->clock.rate);
   CrumpleMesh mesh;
   if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
   const Asset& asset = session->assets.at(surface.asset);
@@ -91,7 +112,8 @@ int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
 
   const size_t count = std::min(out->capacity, asset.skin.size());
   std::vector<float>&displacement = session->displacement, &position = session->position;
-  displace(asset, surface, displacement);
+  const float quantum = nodes_at(car, out->time * session->clock.rate, session->node);
+  displace(asset, session->node, quantum, displacement);
   position.resize(displacement.size());
   std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
   if (out->normal) find_normals(mesh, position, session->normal);
@@ -99,16 +121,18 @@ int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
   write(displacement, *out, count, out->displacement);
   write(session->normal, *out, count, out->normal);
 
-  mark(asset, surface, car.copied, session->moved);
+  if (car.copied_asset != surface.asset || car.copied_quantum != quantum) car.copied.clear();
+  mark(asset, session->node, car.copied, session->moved);
   const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
   const auto is_moved = [](uint8_t how) { return how != 0; };
   const auto first = std::find_if(begin, end, is_moved);
   const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
   out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
   out->count = static_cast<uint32_t>(last - first);
-  car.copied.asset = surface.asset;
-  car.copied.quantum = surface.quantum;
-  car.copied.quanta = surface.quanta;
-  car.dirty = false;
+  car.copied_asset = surface.asset;
+  car.copied_quantum = quantum;
+  car.copied.swap(session->node);
+  const bool newest = out->time == 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
+  car.dirty &= !newest;
   return CRUMPLE_OK;
 }

@@ -62,8 +62,8 @@ class Frame(View):
     def surface(self, car: str) -> Surface | None:
         return super().surface(car) if self._seek(car) else None
 
-    def vertices(self, car: str, out: Vertices | None = None) -> Vertices | None:
-        return super().vertices(car, out) if self._seek(car) else None
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
+        return super().vertices(car, out, time) if self._seek(car) else None
 
     def _mesh(self, asset: str) -> Mesh | None:
         if asset not in self._meshes and asset in self._recording.assets:

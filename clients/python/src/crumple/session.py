@@ -67,9 +67,10 @@ class View:
         quanta = _array(out.quanta, out.node_count, np.int16)
         return Surface(out.tick, out.hash, out.quantum, text(out.asset), quanta, bool(out.dirty), bool(out.alive))
 
-    def vertices(self, car: str, out: Vertices | None = None) -> Vertices | None:
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
         """Positions and normals, written into the arrays of `out` if given: those of an earlier call, or the caller's own, which may
-        be fields of one structured array. None: its surface or its mesh has not arrived yet; poll and ask again."""
+        be fields of one structured array. time: of the last half second of Session.time, as it was then, between two ticks if need
+        be; 0: the newest. None: its surface or its mesh has not arrived yet; poll and ask again."""
         surface = ffi.new("CrumpleSurface*")
         if check(lib.crumple_surface(self._handle, car.encode(), surface)) == lib.CRUMPLE_PENDING:
             return None
@@ -86,7 +87,7 @@ class View:
             if not array.flags.writeable:
                 raise ValueError("an array of `out` is read-only")
         places = [ffi.cast("float*", array.ctypes.data) for array in arrays]
-        to = ffi.new("CrumpleVertices*", [*places, stride, len(mesh.vertex)])
+        to = ffi.new("CrumpleVertices*", [*places, stride, len(mesh.vertex), time])
         check(lib.crumple_copy(self._handle, car.encode(), to))
         return Vertices(*arrays, slice(to.first, to.first + to.count))
 
@@ -224,6 +225,11 @@ class Session(View):
         check(lib.crumple_publish_obstacles(self._handle, list_, len(obstacles)))
 
     # ---- viewer
+
+    @property
+    def time(self) -> float:
+        """The server's now, as in Reaction.time; 0: nothing has come yet."""
+        return float(lib.crumple_time(self._handle))
 
     def follow(self, car: str | None = None, level: int = 0) -> None:
         """From now on this car's surface is held; None: every car's. level 0: every tick, 1: for who is far."""
