@@ -2,13 +2,17 @@
 // scene files.
 #include <gtest/gtest.h>
 
+#include <array>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <memory>
 #include <random>
 #include <thread>
 
+#include "box_car.h"
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
 #include "cpp/surface.h"
@@ -449,6 +453,248 @@ TEST(Client, ShowsNothingOldAsCurrentAfterAPause) {
   server.tick = 60;
   for (int k = 0; k < 20; ++k) ASSERT_EQ(server.held(), 0u);
   EXPECT_TRUE(server.comes_to_hold(60, false));
+}
+
+// A session without a network that follows a box car; its surface is what it is fed.
+struct Fed {
+  std::vector<std::byte> bytes = box_car_bytes({6, 3, 2});
+  std::shared_ptr<const Car> car = read_car(bytes, "box");
+  std::unique_ptr<Crumple, decltype(&crumple_close)> session{nullptr, crumple_close};
+  CrumpleMesh mesh{};
+  uint64_t tick = 0;
+
+  void start() {
+    const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", "game", nullptr};
+    Crumple* handle = nullptr;
+    ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
+    session.reset(handle);
+    ASSERT_EQ(crumple_follow(handle, nullptr, 0), CRUMPLE_OK) << crumple_error();
+    char hash[17];
+    ASSERT_EQ(crumple_add_asset(handle, bytes.data(), bytes.size(), hash), CRUMPLE_OK) << crumple_error();
+    ASSERT_EQ(hash, car->hash);
+    ASSERT_EQ(crumple_mesh(handle, hash, &mesh), CRUMPLE_OK) << crumple_error();
+  }
+  int feed(const Bytes& message, const char* key = "crumple/1/main/car/a/key/0") {
+    return crumple_feed(session.get(), key, message.data(), message.size());
+  }
+  int feed(const Quanta& quanta, float quantum = 0.0005f) {
+    return feed(encode_keyframe({++tick, car->hash, quantum}, quanta).front());
+  }
+  // moved(rest position): in quanta.
+  template <class Moved>
+  Quanta quanta_of(Moved moved) const {
+    Quanta quanta;
+    for (const uint32_t node : car->skin_node)
+      for (const int q : moved(car->model.node[node])) quanta.push_back(static_cast<int16_t>(q));
+    return quanta;
+  }
+  struct Copied {
+    std::vector<float> position, displacement, normal;
+    uint32_t first = 0, count = 0;
+  };
+  Copied copy(double time = 0) {
+    const size_t size = 3 * size_t{mesh.vertex_count};
+    Copied out{std::vector<float>(size), std::vector<float>(size), std::vector<float>(size)};
+    CrumpleVertices to{out.position.data(), out.displacement.data(), out.normal.data(), 12, mesh.vertex_count, time, 7, 7};
+    EXPECT_EQ(crumple_copy(session.get(), "a", &to), CRUMPLE_OK) << crumple_error();
+    out.first = to.first, out.count = to.count;
+    return out;
+  }
+};
+
+TEST(Client, WithoutANetworkHoldsWhatItIsFed) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  std::mt19937 random(11);
+  const size_t count = fed.car->skin_node.size();
+  const Quanta key = random_quanta(random, count), now = random_quanta(random, count);
+  CrumpleSurface surface{};
+  EXPECT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_UNKNOWN);
+  EXPECT_EQ(fed.feed(key), CRUMPLE_OK);
+  const auto delta_bytes = encode_delta({2, fed.car->hash, 0.0005f}, now, 1, key).front();
+  const char* delta_key = "crumple/1/main/car/a/delta/0";
+  const Bytes cut(delta_bytes.begin(), delta_bytes.begin() + 9);
+  EXPECT_EQ(fed.feed(cut, delta_key), CRUMPLE_BAD_ARGUMENT);
+  EXPECT_NE(std::strstr(crumple_error(), "well-formed"), nullptr) << crumple_error();
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_EQ(surface.hash, hash(key));
+  EXPECT_EQ(fed.feed(delta_bytes, "crumple/1/main/car/a/delta/1"), CRUMPLE_OK);  // of a level that it does not follow
+  EXPECT_EQ(fed.feed(delta_bytes, "crumple/1/other/car/a/delta/0"), CRUMPLE_OK);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_EQ(surface.tick, 1u);
+  EXPECT_EQ(fed.feed(delta_bytes, delta_key), CRUMPLE_OK);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_EQ(surface.hash, hash(now));
+  EXPECT_TRUE(surface.alive);
+
+  CarReaction reaction;
+  reaction.car = "a";
+  EXPECT_EQ(fed.feed(encode_reactions(4, 0.1, {reaction}), "crumple/1/main/host/h/reactions"), CRUMPLE_OK);
+  CrumpleReaction taken{};
+  ASSERT_EQ(crumple_take_reactions(session, &taken, 1), 1u);
+  EXPECT_EQ(taken.tick, 4u);
+
+  // What needs a network says so.
+  uint64_t ticket = 0;
+  EXPECT_EQ(crumple_poll(session, 0), CRUMPLE_CLOSED);
+  EXPECT_EQ(crumple_despawn(session, "a", &ticket), CRUMPLE_CLOSED);
+  EXPECT_EQ(crumple_publish_poses(session, 0, nullptr, 0), CRUMPLE_CLOSED);
+  EXPECT_NE(std::strstr(crumple_error(), "options.connect"), nullptr) << crumple_error();
+  CrumpleMesh mesh{};
+  EXPECT_EQ(crumple_mesh(session, "0123456789abcdef", &mesh), CRUMPLE_UNKNOWN);
+  char name[17];
+  EXPECT_EQ(crumple_add_asset(session, fed.bytes.data(), 100, name), CRUMPLE_BAD_ARGUMENT);
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  EXPECT_EQ(crumple_feed(server.viewer.get(), delta_key, delta_bytes.data(), delta_bytes.size()), CRUMPLE_BAD_ARGUMENT);
+}
+
+TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  // Sheared: 1 m forward for each m above the ground, so that what looked forward looks forward and down.
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3& rest) {
+    return std::array{int(std::lround(2000 * rest.z())), 0, 0};
+  })),
+            CRUMPLE_OK);
+  const auto copied = fed.copy();
+  std::vector<Eigen::Vector3d> twin(fed.mesh.vertex_count, Eigen::Vector3d::Zero());
+  const auto position = [&](uint32_t vertex) -> Eigen::Vector3d {
+    const float* at = &copied.position[size_t{3} * vertex];
+    return {at[0], at[1], at[2]};
+  };
+  for (uint32_t t = 0; t < fed.mesh.triangle_count; ++t) {
+    const uint32_t* corner = fed.mesh.triangle + 3 * t;
+    const Eigen::Vector3d a = position(corner[0]), area = (position(corner[1]) - a).cross(position(corner[2]) - a);
+    for (int k = 0; k < 3; ++k) twin[corner[k]] += area;
+  }
+  size_t forward = 0;
+  for (uint32_t v = 0; v < fed.mesh.vertex_count; ++v) {
+    const Eigen::Vector3f rest(fed.mesh.vertex + 3 * v), normal(&copied.normal[size_t{3} * v]);
+    EXPECT_NEAR(copied.displacement[3 * v], rest.z(), 0.0003f);
+    EXPECT_NEAR(copied.position[3 * v], rest.x() + rest.z(), 0.0003f);
+    EXPECT_EQ(copied.position[3 * v + 1], rest.y());
+    EXPECT_LT((normal.cast<double>() - twin[v].normalized()).norm(), 1e-5) << "vertex " << v;
+    if (rest.x() < 2.24f || std::abs(rest.y()) > 0.89f || rest.z() < 0.01f || rest.z() > 1.49f) continue;
+    ++forward;
+    EXPECT_LT((normal - Eigen::Vector3f(1, 0, -1).normalized()).norm(), 1e-3f);
+  }
+  EXPECT_GT(forward, 0u) << "inside of the front";
+
+  // As members of a vertex of 8 floats, and not all of them.
+  std::vector<float> strided(8 * size_t{fed.mesh.vertex_count}, -7.0f);
+  CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0, 0};
+  ASSERT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_OK);
+  EXPECT_TRUE(std::equal(&strided[8 * 4], &strided[8 * 4 + 3], &copied.position[3 * 4]));
+  EXPECT_TRUE(std::equal(&strided[8 * 4 + 3], &strided[8 * 4 + 6], &copied.normal[3 * 4]));
+  EXPECT_EQ(strided[6], -7) << "what lies between is the caller's";
+  EXPECT_EQ(strided[8 * 5], -7) << "beyond capacity";
+  some.stride = 10;
+  EXPECT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_BAD_ARGUMENT);
+}
+
+TEST(Client, OutsideOfWhatCopyNamesNothingHasChanged) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Quanta quanta = fed.quanta_of([](const Vec3&) { return std::array{1, 2, 3}; });
+  ASSERT_EQ(fed.feed(quanta), CRUMPLE_OK);
+  auto before = fed.copy();
+  EXPECT_EQ(before.first, 0u);
+  EXPECT_EQ(before.count, fed.mesh.vertex_count) << "the first copy is all new";
+  const auto same = fed.copy();
+  EXPECT_EQ(same.count, 0u);
+  std::mt19937 random(12);
+  for (int round = 0; round < 20; ++round) {
+    quanta[random() % quanta.size()] += 40;
+    ASSERT_EQ(fed.feed(quanta), CRUMPLE_OK);
+    const auto now = fed.copy();
+    const auto differs = [&](uint32_t v) {
+      return !std::equal(&now.position[3 * v], &now.position[3 * v] + 3, &before.position[3 * v]) ||
+             !std::equal(&now.normal[3 * v], &now.normal[3 * v] + 3, &before.normal[3 * v]);
+    };
+    ASSERT_GT(now.count, 0u);
+    for (uint32_t v = 0; v < fed.mesh.vertex_count; ++v) {
+      const bool named = v >= now.first && v < now.first + now.count;
+      EXPECT_TRUE(named || !differs(v)) << "vertex " << v;
+    }
+    EXPECT_LT(now.count, fed.mesh.vertex_count) << "one vertex has not so many neighbours";
+    before = now;
+  }
+  ASSERT_EQ(fed.feed(quanta, 0.004f), CRUMPLE_OK);
+  EXPECT_EQ(fed.copy().count, fed.mesh.vertex_count) << "the same quanta of another length";
+}
+
+TEST(Client, ShowsWhatWasAtATimeAndTheWayBetweenTwoTicks) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  const auto told = [&](uint64_t tick, int x) {
+    fed.tick = tick - 1;
+    ASSERT_EQ(fed.feed(fed.quanta_of([x](const Vec3&) { return std::array{x, 0, 0}; })), CRUMPLE_OK);
+  };
+  const auto shown = [&](double tick) { return fed.copy(tick / 60).displacement[0] / 0.0005f; };  // in quanta
+  EXPECT_EQ(crumple_time(session), 0);
+  told(100, 10);
+  EXPECT_NEAR(crumple_time(session), 100 / 60.0, 1e-9);
+  EXPECT_FLOAT_EQ(shown(-6), 10) << "from now on it is remembered, though the time is not known yet";
+  told(101, 20);
+  told(120, 40);  // it was still until then
+  told(121, 80);
+  EXPECT_FLOAT_EQ(fed.copy().displacement[0], 0.0005f * 80) << "the newest";
+  EXPECT_FLOAT_EQ(shown(99), 10);
+  EXPECT_FLOAT_EQ(shown(100), 10);
+  EXPECT_NEAR(shown(100.25), 12.5f, 1e-3f);
+  EXPECT_NEAR(shown(101), 20, 1e-3f);
+  EXPECT_NEAR(shown(119), 20, 1e-3f) << "nothing was told of that time";
+  EXPECT_NEAR(shown(119.5), 30, 1e-3f);
+  const auto half = fed.copy(120.5 / 60);
+  EXPECT_NEAR(half.displacement[0] / 0.0005f, 60, 1e-3f);
+  EXPECT_EQ(half.count, fed.mesh.vertex_count);
+  EXPECT_EQ(fed.copy(120.5 / 60).count, 0u);
+  CrumpleSurface surface{};
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_FALSE(surface.dirty) << "the newest was shown";
+  told(122, 90);
+  EXPECT_NEAR(shown(121), 80, 1e-3f);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_TRUE(surface.dirty) << "what was shown is older";
+  EXPECT_NEAR(shown(1000), 90, 1e-3f);
+  ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
+  EXPECT_FALSE(surface.dirty);
+
+  // Half a second is kept, and the last before it.
+  for (uint64_t tick = 123; tick < 200; ++tick) told(tick, static_cast<int>(tick));
+  EXPECT_NEAR(shown(125), 168, 1e-3f);
+  EXPECT_NEAR(shown(170.5), 170.5f, 1e-3f);
+  CrumpleVertices never{};
+  never.stride = 12;
+  never.time = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(crumple_copy(session, "a", &never), CRUMPLE_BAD_ARGUMENT);
+}
+
+TEST(Client, KnowsTheTimeOfTheServerWithinTheWayOfAMessage) {
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start());
+  ASSERT_TRUE(server.comes_to_hold(5, false));
+  EXPECT_EQ(crumple_time(server.viewer.get()), 0) << "an answer may be of any age";
+  server.tick = 6000;
+  const auto sent = std::chrono::steady_clock::now();
+  HealthReport report;
+  report.rate = 50;
+  report.tick = 6000;
+  server.put("crumple/1/main/health", encode_health(report));
+  for (int k = 0; k < 1000 && crumple_time(server.viewer.get()) == 0; ++k) server.held();
+  const double time = crumple_time(server.viewer.get());
+  const double passed = std::chrono::duration<double>(std::chrono::steady_clock::now() - sent).count();
+  EXPECT_GE(time, 120);
+  EXPECT_LE(time, 120 + passed);
+  // What comes late makes it no earlier.
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  const uint64_t before = server.surfaces();
+  server.put("crumple/1/main/car/a/delta/0", delta(6001, server.quanta, 5, server.quanta).front());
+  for (int k = 0; k < 1000 && server.surfaces() == before; ++k) server.held();
+  EXPECT_GE(crumple_time(server.viewer.get()), time + 0.05);
 }
 
 std::string scene_trouble(const std::string& text) {

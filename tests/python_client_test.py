@@ -4,7 +4,7 @@ Starts a server, spawns a car, drives it into a wall, and reads keyframes and de
 recording of it with PyPI mcap: by its index, and with no schema but its own. Also the shortest example of the contract for
 other languages.
 
-    python tests/python_client_test.py build/crumple CAR
+    PYTHONPATH=build/schema/python python tests/python_client_test.py build/crumple CAR
 """
 
 import importlib
@@ -21,9 +21,6 @@ import flatbuffers
 import zenoh
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "clients" / "python"))
-import schema  # noqa: E402,F401  makes crumple.schema
 
 PATIENCE = 60  # s for a message that must come
 

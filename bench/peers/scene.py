@@ -88,8 +88,7 @@ def grid(cells):
 
 def car(path):
     """A baked car (schema/car.fbs)."""
-    sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "clients/python"))
-    import schema  # noqa: F401  makes the package that the next line imports
+    sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "build/schema/python"))  # where flatc's code is
     from crumple.schema.Car import Car
 
     read = Car.GetRootAs(pathlib.Path(path).read_bytes())

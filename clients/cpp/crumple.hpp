@@ -122,10 +122,8 @@ class Session {
     CrumpleSurface surface;
     return need(crumple_surface(*this, car.c_str(), &surface)) == CRUMPLE_OK ? std::optional(surface) : std::nullopt;
   }
-  // Displacements of the vertices from rest, m, 3 each; false while they are not there.
-  bool copy(const std::string& car, std::span<float> out) {
-    return need(crumple_copy(*this, car.c_str(), out.data(), 3 * sizeof(float), out.size() / 3)) == CRUMPLE_OK;
-  }
+  // False while the surface or its mesh is not there.
+  bool copy(const std::string& car, CrumpleVertices& out) { return need(crumple_copy(*this, car.c_str(), &out)) == CRUMPLE_OK; }
   // Waits for it.
   CrumpleMesh mesh(const std::string& asset) {
     CrumpleMesh mesh;

@@ -1,6 +1,6 @@
 // The door for hosts (games, simulators, scripts) and viewers: one session with one scene of a server, in plain C.
 // Pull-based: nothing is ever called back. crumple_poll takes in what has arrived; everything else reads what it left.
-// Strings and views that come out stay valid until the next crumple_poll of the session. One thread at a time uses a session.
+// Strings and views that come out stay valid until the next crumple_poll or crumple_feed. One thread at a time uses a session.
 // Units are SI, axes of the world are z up, of a car x forward, y left, z up; orientations are unit quaternions (x, y, z, w).
 // Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence.
 #pragma once
@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 // Of all structs below; crumple_open refuses another.
-#define CRUMPLE_CLIENT_VERSION 4u
+#define CRUMPLE_CLIENT_VERSION 5u
 
 enum CrumpleStatus {
   CRUMPLE_OK = 0,
@@ -33,7 +33,7 @@ typedef struct Crumple Crumple;
 typedef struct CrumpleOptions {
   uint32_t version;     // CRUMPLE_CLIENT_VERSION
   uint32_t timeout_ms;  // for the connection and for each command; 0: 2000
-  const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" where the server has a certificate
+  const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" where the server has a certificate; NULL: see crumple_feed
   const char* scene;
   const char* host;     // the id under which this session moves cars; NULL: a viewer only
   const char* network;  // JSON5 of zenoh's own configuration, laid over ours: TLS, user, password; NULL or "": none
@@ -53,6 +53,15 @@ typedef struct CrumpleStatistics {
   uint64_t older, refused, asked;     // dropped as older than what is held; malformed; keyframes asked for
 } CrumpleStatistics;
 void crumple_statistics(const Crumple*, CrumpleStatistics* out);
+
+// The server's time now, s, as in CrumpleReaction: what came soonest of the last second or two tells it, so it may be late by a
+// message's way, and step a little. 0: nothing has come yet. Without a network: that of the newest tick.
+double crumple_time(const Crumple*);
+
+// A session without `connect` has no network: it takes in what it is given here, for recordings, tests and other ways to carry
+// messages. key: the message's, which is its topic in a recording. A message that the session does not follow is passed over;
+// one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing.
+int crumple_feed(Crumple*, const char* key, const void* bytes, size_t size);
 
 // ---- commands: each gives a ticket; its answer comes by crumple_poll
 // ---------------------------------------------------------
@@ -164,15 +173,29 @@ typedef struct CrumpleSurface {
   float quantum;          // m; of the level that is held
   const char* asset;      // hash of the baked car
   const int16_t* quanta;  // 3 a node: displacement from rest in quanta, car's frame
-  int dirty;              // changed since the last crumple_copy of this car
-  int alive;              // 0: despawned, or its server is gone
+  int dirty;              // no crumple_copy of this car has shown it yet
+  int alive;              // 0: despawned, or its server is gone; without a network always 1
 } CrumpleSurface;
 // CRUMPLE_PENDING: followed, but nothing whole has arrived yet; or the session was not polled for half a second, and what is
 // current has not arrived since: keep what was drawn.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
-// Displacements of the vertices from rest in metres: out[0..2] of each, `stride` bytes apart (12: packed), at most `capacity`
-// of them. Needs the asset (crumple_mesh), and asks for it: CRUMPLE_PENDING until it has arrived.
-int crumple_copy(Crumple*, const char* car, float* out, size_t stride, size_t capacity);
+
+// Where crumple_copy writes, 3 floats a vertex in the car's frame: arrays of their own (stride 12), or members of one vertex
+// (its size). NULL: not wanted.
+typedef struct CrumpleVertices {
+  float* position;      // m
+  float* displacement;  // from rest, m
+  float* normal;        // of length 1: of the triangles around the vertex, weighted by their area
+  size_t stride;        // bytes from one vertex to the next
+  size_t capacity;      // vertices that there is room for
+  // 0: the newest that is held. Otherwise what was at that time, s, of the last half second; between two ticks the way from one
+  // to the other. crumple_time() - 0.1, the same for the poses, moves smoothly however unevenly messages come.
+  double time;
+  // Set by crumple_copy: outside of these `count` vertices nothing is other than after the last crumple_copy of this car.
+  uint32_t first, count;
+} CrumpleVertices;
+// Needs the asset (crumple_mesh), and asks for it: CRUMPLE_PENDING until it has arrived.
+int crumple_copy(Crumple*, const char* car, CrumpleVertices*);
 
 // The undamaged car, from the server, once per asset.
 typedef struct CrumpleMesh {
@@ -186,6 +209,8 @@ typedef struct CrumpleMesh {
 } CrumpleMesh;
 // CRUMPLE_PENDING until it has arrived. Views live as long as the session.
 int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
+// Takes a baked car that the caller has as a file, so that it need not come from the server. hash: its name for crumple_spawn.
+int crumple_add_asset(Crumple*, const void* car, size_t size, char hash[17]);
 
 typedef struct CrumpleHealth {
   uint64_t tick, late;      // late: ticks that could not start in time

@@ -38,6 +38,7 @@ schema::Pose pose_of(const CrumplePose& pose) {
 }
 
 int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder& builder) {
+  if (!session.net) return fail(CRUMPLE_CLOSED, no_network);
   if (session.host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
   const std::string key = session.root + "host/" + session.host + "/" + what;
   const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), NET_REAL_TIME);
@@ -47,6 +48,7 @@ int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder
 
 int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Offset<void> body,
           flatbuffers::FlatBufferBuilder& builder, uint64_t* ticket) {
+  if (!session.net) return fail(CRUMPLE_CLOSED, no_network);
   if (!is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
   builder.Finish(schema::CreateCommand(builder, kind, body));
   const std::string key = session.root + "car/" + car;

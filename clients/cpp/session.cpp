@@ -38,6 +38,11 @@ CrumplePose pose_of(const schema::Pose& pose) {
   return {{p.x(), p.y(), p.z()}, {q.x(), q.y(), q.z(), q.w()}};
 }
 
+void refuse(Crumple& session, std::string why) {
+  ++session.statistics.refused;
+  fail(CRUMPLE_BAD_ARGUMENT, std::move(why));
+}
+
 void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car) {
   if (car.asking) return;
   const std::string key = session.root + "car/" + id + "/key/" + std::to_string(car.level);
@@ -91,6 +96,8 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
       if (&surface == &car.coming) car.surface = std::exchange(car.coming, {});
       car.fresh &= !keyframe;
       car.dirty = true;
+      if (!asked_for) session.clock.take(car.surface.tick);
+      if (!car.past.empty()) remember(car, session.clock.rate);
       break;
     case Applied::part:
       break;
@@ -101,20 +108,18 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
       ask_for_keyframe(session, id, car);
       break;
     case Applied::refused:
-      ++session.statistics.refused;
+      refuse(session, outcome.why);
       break;
   }
 }
 
 void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Reactions>(bytes);
-  if (!message) {
-    ++session.statistics.refused;
-    return;
-  }
+  if (!message) return refuse(session, "reactions are not a well-formed FlatBuffers table");
+  session.clock.take(message->tick());
   for (const auto* from : *message->cars()) {
     if (!is_id(from->car()->c_str()) || session.names.size() > 100'000) {
-      ++session.statistics.refused;
+      refuse(session, "a reaction names a car that can have no such id, or there are over 100000 cars");
       continue;
     }
     CrumpleReaction to{};
@@ -149,11 +154,13 @@ void ask_for_the_lost(Crumple& session, const schema::Health& message) {
 
 void take_health(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Health>(bytes);
-  if (!message) {
-    ++session.statistics.refused;
-    return;
-  }
+  if (!message) return refuse(session, "health is not a well-formed FlatBuffers table");
   ask_for_the_lost(session, *message);
+  if (message->rate() >= 1 && message->rate() <= 1000 && static_cast<double>(message->rate()) != session.clock.rate) {
+    session.clock = {};
+    session.clock.rate = message->rate();
+  }
+  session.clock.take(message->tick());
   CrumpleHealth& health = session.health;
   health = {message->tick(), message->late(), message->rate(), 0, 0, 0};
   if (message->rooms())
@@ -210,12 +217,17 @@ bool read_skin(const schema::Car& car, Asset& asset) {
   return asset.skin.size() == car.vertex()->size() && asset.skin_nodes > 0;
 }
 
+std::string hash_of(const Asset& asset) {
+  char digits[17];
+  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(asset.words.data(), asset.size, 0)));
+  return digits;
+}
+
 // The views of a mesh, once every piece is there and the bytes are those that the hash names.
 std::string read_mesh(const std::string& hash, Asset& asset) {
   const auto* bytes = reinterpret_cast<const uint8_t*>(asset.words.data());
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes, asset.size, 0)));
-  if (hash != digits) return "the bytes of asset " + hash + " have the hash " + digits + ": ask again";
+  if (const std::string digits = hash_of(asset); hash != digits)
+    return "the bytes of asset " + hash + " have the hash " + digits + ": ask again";
   flatbuffers::Verifier verifier(bytes, asset.size);
   if (!schema::VerifyCarBuffer(verifier)) return "asset " + hash + " is not a baked car";
   const schema::Car& car = *schema::GetCar(bytes);
@@ -309,6 +321,7 @@ void send_obstacles_again(Crumple& session) {
 void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (key == "server") {
     session.server_alive = alive;
+    if (!alive) session.clock = {};  // the next one's ticks begin elsewhere
     if (alive) send_obstacles_again(session);
   }
   const std::string_view id = car_of(key);
@@ -350,7 +363,7 @@ void doubt_after_a_pause(Crumple& session) {
 // Brings the subscriptions for a car, or for "*", to the level, or to none.
 int subscribe(Crumple& session, const std::string& cars, int level) {
   int& now = session.subscribed.try_emplace(cars, none).first->second;
-  if (now == level) return CRUMPLE_OK;
+  if (now == level || !session.net) return CRUMPLE_OK;
   for (const char* what : {"/key/", "/delta/"}) {
     const std::string key = session.root + "car/" + cars + what;
     if (level != none && net_subscribe(session.net, (key + std::to_string(level)).c_str(), 4096) != 0)
@@ -371,8 +384,6 @@ void change_level(Crumple& session, const std::string& id, FollowedCar& car, int
   forget_question(session, car);
   if (car.alive) ask_for_keyframe(session, id, car);
 }
-
-bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
 // Subscriptions and the wait for the server; throws nothing, leaves the error behind.
 int begin(Crumple& session, const char* connect, const char* network) {
@@ -399,6 +410,32 @@ int begin(Crumple& session, const char* connect, const char* network) {
 }
 
 }  // namespace
+
+void ServerClock::take(uint64_t at) {
+  const auto arrived = Clock::now();
+  if (arrived - begun > std::chrono::seconds(1)) {
+    before = std::exchange(least, std::numeric_limits<double>::infinity());
+    begun = arrived;
+  }
+  tick = std::max(tick, at);
+  least = std::min(least, std::chrono::duration<double>(arrived.time_since_epoch()).count() - static_cast<double>(at) / rate);
+}
+
+double ServerClock::now() const {
+  if (tick == 0) return 0;
+  return std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - std::min(least, before);
+}
+
+void remember(FollowedCar& car, double rate) {
+  const Surface& surface = car.surface;
+  std::deque<Past>& past = car.past;
+  if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
+  past.push_back({surface.tick, surface.quantum, surface.quanta});
+  // One that is older than that stays: it is what was until the next.
+  while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
+}
+
+bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
 void take(Crumple& session, const NetEvent& event) {
   const std::span<const uint8_t> bytes(event.data, event.size);
@@ -441,8 +478,6 @@ const char* crumple_error(void) { return last_error.c_str(); }
 int crumple_open(const CrumpleOptions* options, Crumple** out) {
   if (!options || !out || options->version != CRUMPLE_CLIENT_VERSION)
     return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
-  if (!options->connect)
-    return fail(CRUMPLE_BAD_ARGUMENT, "options.connect is missing: give an endpoint such as tcp/127.0.0.1:7447");
   if (!is_id(options->scene) || (options->host && !is_id(options->host)))
     return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
   const char* network = options->network && *options->network ? options->network : nullptr;
@@ -455,7 +490,9 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
   // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
   session->sequence = static_cast<uint64_t>(
       std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
-  if (const int status = begin(*session, options->connect, network); status != CRUMPLE_OK) {
+  int status = CRUMPLE_OK;
+  if (options->connect) status = begin(*session, options->connect, network);
+  if (status != CRUMPLE_OK) {
     const std::string sentence = last_error;
     crumple_close(session);
     return fail(status, sentence);
@@ -471,6 +508,7 @@ void crumple_close(Crumple* session) {
 }
 
 int crumple_poll(Crumple* session, uint64_t timeout_us) {
+  if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
   doubt_after_a_pause(*session);
   NetEvent events[64];
   int total = 0, got = 0;
@@ -488,10 +526,30 @@ int crumple_poll(Crumple* session, uint64_t timeout_us) {
 
 void crumple_statistics(const Crumple* session, CrumpleStatistics* out) { *out = session->statistics; }
 
+double crumple_time(const Crumple* session) {
+  const ServerClock& clock = session->clock;
+  return session->net ? clock.now() : static_cast<double>(clock.tick) / clock.rate;
+}
+
+int crumple_feed(Crumple* session, const char* key, const void* bytes, size_t size) {
+  if (session->net)
+    return fail(CRUMPLE_BAD_ARGUMENT, "this session has a network: open one without options.connect to feed it");
+  std::vector<uint64_t> aligned((size + 7) / 8);
+  if (size > 0) std::memcpy(aligned.data(), bytes, size);
+  NetEvent event{};
+  event.kind = NET_SAMPLE;
+  event.key = key;
+  event.data = reinterpret_cast<const uint8_t*>(aligned.data());
+  event.size = size;
+  const uint64_t refused = session->statistics.refused;
+  take(*session, event);
+  return session->statistics.refused == refused ? CRUMPLE_OK : CRUMPLE_BAD_ARGUMENT;
+}
+
 int crumple_follow(Crumple* session, const char* id, int level) {
   if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
   if (level != 0 && level != 1) return fail(CRUMPLE_BAD_ARGUMENT, "level is neither 0 (near) nor 1 (far)");
-  const bool watched = session->level != none || (id && session->cars.count(id) > 0);
+  const bool watched = !session->net || session->level != none || (id && session->cars.count(id) > 0);
   if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
   if (id) {
@@ -525,38 +583,9 @@ int crumple_surface(Crumple* session, const char* id, CrumpleSurface* out) {
   if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
   const FollowedCar& car = at->second;
   if (!held(car)) return CRUMPLE_PENDING;
-  *out = {car.surface.tick,
-          car.surface.hash,
-          static_cast<uint32_t>(car.surface.quanta.size() / 3),
-          car.surface.quantum,
-          car.surface.asset.c_str(),
-          car.surface.quanta.data(),
-          car.dirty,
-          car.alive};
-  return CRUMPLE_OK;
-}
-
-int crumple_copy(Crumple* session, const char* id, float* out, size_t stride, size_t capacity) {
-  const auto at = session->cars.find(id);
-  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
-  if (stride < 12 || stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
-  const Surface& surface = at->second.surface;
-  if (!held(at->second)) return CRUMPLE_PENDING;
-  CrumpleMesh mesh;
-  if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
-  const Asset& asset = session->assets.at(surface.asset);
-  if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
-    return fail(CRUMPLE_NO_ANSWER, "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
-  const size_t count = std::min(capacity, asset.skin.size());
-  for (size_t i = 0; i < count; ++i) {
-    const SkinVertex& vertex = asset.skin[i];
-    for (size_t axis = 0; axis < 3; ++axis) {
-      float sum = 0;
-      for (size_t k = 0; k < 4; ++k) sum += vertex.weight[k] * static_cast<float>(surface.quanta[3 * vertex.at[k] + axis]);
-      out[i * (stride / 4) + axis] = surface.quantum * sum;
-    }
-  }
-  at->second.dirty = false;
+  *out = {car.surface.tick,    car.surface.hash,          static_cast<uint32_t>(car.surface.quanta.size() / 3),
+          car.surface.quantum, car.surface.asset.c_str(), car.surface.quanta.data(),
+          car.dirty,           car.alive || !session->net};
   return CRUMPLE_OK;
 }
 
@@ -572,8 +601,25 @@ int crumple_mesh(Crumple* session, const char* hash, CrumpleMesh* out) {
     asset = {};
     return fail(CRUMPLE_NO_ANSWER, trouble);
   }
+  if (!session->net) return fail(CRUMPLE_UNKNOWN, "asset " + std::string(hash) + " was not given: crumple_add_asset");
   if (!asset.asking) ask_for_asset(*session, hash, asset);
   return CRUMPLE_PENDING;
+}
+
+int crumple_add_asset(Crumple* session, const void* car, size_t size, char hash[17]) {
+  if (size > asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
+  Asset asset;
+  asset.words.resize((size + 7) / 8);
+  if (size > 0) std::memcpy(asset.words.data(), car, size);
+  asset.size = size;
+  const std::string name = hash_of(asset);
+  if (const std::string trouble = read_mesh(name, asset); !trouble.empty()) return fail(CRUMPLE_BAD_ARGUMENT, trouble);
+  asset.whole = true;
+  Asset& known = session->assets[name];
+  session->asset_tickets.erase(known.asking);  // what comes of it still is not wanted
+  if (!known.whole) known = std::move(asset);  // whoever has views of the other keeps them
+  std::memcpy(hash, name.c_str(), 17);
+  return CRUMPLE_OK;
 }
 
 int crumple_health(const Crumple* session, CrumpleHealth* out) {

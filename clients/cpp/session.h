@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <deque>
+#include <limits>
 #include <map>
 #include <set>
 #include <span>
@@ -28,15 +29,39 @@ inline constexpr int none = -1;  // of the surface levels
 // For a keyframe; then it is asked for again.
 inline constexpr uint32_t keyframe_ms = 3000;
 inline constexpr size_t reactions_kept = 4096;
+inline constexpr double past_kept = 0.5;  // s of a car that is shown as it was
 inline constexpr size_t answers_kept = 256;
 // An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8
 // bytes, little endian; none: 0); a shorter answer is the last.
 inline constexpr size_t asset_piece = size_t{4} << 20;
 inline constexpr size_t asset_limit = size_t{256} << 20;
 
+// When messages of a tick come, less the tick's own time. The least of the last one or two seconds is nearest to the truth:
+// what comes later was held up.
+struct ServerClock {
+  double rate = 60;                                                        // ticks a second
+  double least = std::numeric_limits<double>::infinity(), before = least;  // s, of this second and of the one before
+  Clock::time_point begun{};                                               // this second
+  uint64_t tick = 0;                                                       // newest
+
+  void take(uint64_t at);
+  double now() const;
+};
+
+struct Past {
+  uint64_t tick;
+  float quantum;
+  Quanta quanta;
+};
+
 struct FollowedCar {
   Surface surface;
-  Surface coming;  // while `fresh`: what has arrived of what takes its place
+  Surface coming;         // while `fresh`: what has arrived of what takes its place
+  std::deque<Past> past;  // and the newest, oldest first; empty: nobody asked for it
+  // Of the last crumple_copy: displacements of the skin's nodes, in quanta.
+  std::string copied_asset;
+  float copied_quantum = 0;
+  std::vector<float> copied;
   int level = 0;
   bool alive = false;
   bool dirty = false;
@@ -75,14 +100,15 @@ struct Asset {
 
 // Keeps the sentence of crumple_error and gives the status back.
 int fail(int status, std::string sentence);
+inline constexpr const char* no_network = "this session has no network: give options.connect to crumple_open";
 // Whether it can be the id of a scene, host or car: 1 to 32 of a-z A-Z 0-9 _ -.
 bool is_id(const char*);
 
 }  // namespace crumple::client
 
 struct Crumple {
-  Net* net = nullptr;
-  std::string root;  // "crumple/1/{scene}/"
+  Net* net = nullptr;  // NULL: all comes by crumple_feed
+  std::string root;    // "crumple/1/{scene}/"
   std::string host;
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
@@ -98,10 +124,17 @@ struct Crumple {
   std::deque<CrumpleReaction> reactions;
   std::set<std::string, std::less<>> names;  // of cars in reactions
   CrumpleHealth health{};
+  crumple::client::ServerClock clock;
   CrumpleStatistics statistics{};
+  std::vector<float> node, displacement, position, normal;  // scratch of crumple_copy
+  std::vector<uint8_t> moved;
 };
 
 namespace crumple::client {
 // Takes in what arrived.
 void take(Crumple&, const NetEvent&);
+// Whether there is a surface that counts.
+bool held(const FollowedCar&);
+// Keeps what is held, so that it can still be shown when it is no longer the newest.
+void remember(FollowedCar&, double rate);
 }  // namespace crumple::client

@@ -79,12 +79,14 @@ NetEvent event_of(const Part& part, std::string& key) {
 void look(Crumple& session) {
   const char* ids[64];
   const size_t count = std::min<size_t>(64, crumple_cars(&session, ids, 64));
-  std::vector<float> vertices(3 * 4096);
+  std::vector<float> position(3 * 4096), normal(3 * 4096);
   for (size_t i = 0; i < count; ++i) {
     CrumpleSurface surface;
     if (crumple_surface(&session, ids[i], &surface) == CRUMPLE_OK)
       expect(XXH64(surface.quanta, 6 * size_t{surface.node_count}, 0) == surface.hash, "a surface has its hash");
-    crumple_copy(&session, ids[i], vertices.data(), 12, 4096);
+    CrumpleVertices vertices{position.data(), nullptr, normal.data(), 12, 4096, i % 2 ? 0 : 0.05, 0, 0};
+    crumple_copy(&session, ids[i], &vertices);
+    expect(vertices.first + vertices.count <= 4096, "what changed is in the buffer");
   }
   for (const auto& [hash, held] : std::map(session.assets.begin(), session.assets.end())) {
     CrumpleMesh mesh;

@@ -1,0 +1,138 @@
+// What is held of a car, as an engine draws it: displacements of the skin's nodes to positions and normals of the vertices, in
+// the caller's buffer, and which of them are other than before.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <functional>
+
+#include "cpp/session.h"
+
+using namespace crumple::client;
+
+namespace {
+
+// Ticks between two messages of a car that deforms, by surface level: its way to the next shape takes so long.
+constexpr double interval[2] = {1, 6};
+
+// Displacements of the skin's nodes in quanta of a length that it gives back, m, at a time in ticks.
+float nodes_at(const FollowedCar& car, double tick, std::vector<float>& out) {
+  const auto& past = car.past;
+  const auto next =
+      std::find_if(past.begin(), past.end(), [&](const Past& each) { return static_cast<double>(each.tick) >= tick; });
+  const bool between = tick != 0 && next != past.end();
+  const Quanta& to = between ? next->quanta : car.surface.quanta;
+  out.assign(to.begin(), to.end());
+  if (!between) return car.surface.quantum;
+  const double left = (static_cast<double>(next->tick) - tick) / interval[car.level];
+  if (next == past.begin() || left <= 0) return next->quantum;
+  const Past& last = *std::prev(next);
+  const auto share = static_cast<float>(std::min(left, 1.0));
+  for (size_t i = 0; i < out.size(); ++i)
+    out[i] += share * (last.quantum / next->quantum * static_cast<float>(last.quanta[i]) - out[i]);
+  return next->quantum;
+}
+
+void displace(const Asset& asset, const std::vector<float>& node, float quantum, std::vector<float>& out) {
+  out.resize(3 * asset.skin.size());
+  for (size_t i = 0; i < asset.skin.size(); ++i) {
+    const SkinVertex& vertex = asset.skin[i];
+    for (size_t axis = 0; axis < 3; ++axis) {
+      float sum = 0;
+      for (size_t k = 0; k < 4; ++k) sum += vertex.weight[k] * node[3 * vertex.at[k] + axis];
+      out[3 * i + axis] = quantum * sum;
+    }
+  }
+}
+
+// The cross product of two edges is a triangle's normal, twice as long as its area.
+void find_normals(const CrumpleMesh& mesh, const std::vector<float>& position, std::vector<float>& out) {
+  out.assign(position.size(), 0);
+  for (const uint32_t* corner = mesh.triangle; corner != mesh.triangle + 3 * size_t{mesh.triangle_count}; corner += 3) {
+    const float *a = &position[3 * size_t{corner[0]}], *b = &position[3 * size_t{corner[1]}],
+                *c = &position[3 * size_t{corner[2]}];
+    const float u[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]}, v[3] = {c[0] - a[0], c[1] - a[1], c[2] - a[2]};
+    const float cross[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+    for (size_t k = 0; k < 3; ++k) {
+      float* sum = &out[3 * size_t{corner[k]}];
+      sum[0] += cross[0];
+      sum[1] += cross[1];
+      sum[2] += cross[2];
+    }
+  }
+  for (float* normal = out.data(); normal != out.data() + out.size(); normal += 3) {
+    const float square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
+    const bool flat = !(square > 0);  // no triangle that has an area: a normal all the same
+    const float scale = flat ? 0 : 1 / std::sqrt(square);
+    normal[0] *= scale;
+    normal[1] *= scale;
+    normal[2] = flat ? 1 : normal[2] * scale;
+  }
+}
+
+// Vertices that moved since the last copy, and those that share a triangle with one, whose normals turn.
+void mark(const Asset& asset, const std::vector<float>& now, const std::vector<float>& before, std::vector<uint8_t>& moved) {
+  moved.assign(asset.skin.size(), before.empty());
+  if (before.empty() || before == now) return;
+  const auto differs = [&](uint32_t node) {
+    return std::memcmp(&now[size_t{3} * node], &before[size_t{3} * node], 3 * sizeof(float)) != 0;
+  };
+  constexpr uint8_t itself = 1, neighbour = 2;
+  for (size_t i = 0; i < moved.size(); ++i)
+    for (size_t k = 0; k < 4; ++k)
+      if (asset.skin[i].weight[k] > 0 && differs(asset.skin[i].at[k])) moved[i] = itself;
+  const uint32_t* triangle = asset.mesh.triangle;
+  for (size_t t = 0; t < 3 * size_t{asset.mesh.triangle_count}; t += 3) {
+    const uint32_t a = triangle[t], b = triangle[t + 1], c = triangle[t + 2];
+    if (!((moved[a] | moved[b] | moved[c]) & itself)) continue;
+    for (const uint32_t vertex : {a, b, c}) moved[vertex] |= neighbour;
+  }
+}
+
+void write(const std::vector<float>& from, const CrumpleVertices& out, size_t count, float* to) {
+  const size_t step = out.stride / sizeof(float);
+  for (size_t i = 0; to && i < count; ++i) std::copy_n(&from[3 * i], 3, to + step * i);
+}
+
+}  // namespace
+
+int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
+  const auto at = session->cars.find(id);
+  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+  if (out->stride < 12 || out->stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
+  FollowedCar& car = at->second;
+  const Surface& surface = car.surface;
+  if (!held(car)) return CRUMPLE_PENDING;
+  if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
+  if (out->time != 0 && car.past.empty()) remember(car, session->clock.rate);
+  CrumpleMesh mesh;
+  if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
+  const Asset& asset = session->assets.at(surface.asset);
+  if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
+    return fail(CRUMPLE_NO_ANSWER, "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
+
+  const size_t count = std::min(out->capacity, asset.skin.size());
+  std::vector<float>&displacement = session->displacement, &position = session->position;
+  const float quantum = nodes_at(car, out->time * session->clock.rate, session->node);
+  displace(asset, session->node, quantum, displacement);
+  position.resize(displacement.size());
+  std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
+  if (out->normal) find_normals(mesh, position, session->normal);
+  write(position, *out, count, out->position);
+  write(displacement, *out, count, out->displacement);
+  write(session->normal, *out, count, out->normal);
+
+  if (car.copied_asset != surface.asset || car.copied_quantum != quantum) car.copied.clear();
+  mark(asset, session->node, car.copied, session->moved);
+  const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
+  const auto is_moved = [](uint8_t how) { return how != 0; };
+  const auto first = std::find_if(begin, end, is_moved);
+  const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
+  out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
+  out->count = static_cast<uint32_t>(last - first);
+  car.copied_asset = surface.asset;
+  car.copied_quantum = quantum;
+  car.copied.swap(session->node);
+  const bool newest = out->time == 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
+  car.dirty &= !newest;
+  return CRUMPLE_OK;
+}

@@ -1,0 +1,15 @@
+"""Hosts, viewers and recordings of crumple, the server that owns the dents of cars. README.md begins with a whole example."""
+
+from crumple._convert import columns
+from crumple._library import Error, Refused
+from crumple.recording import Frame, Life, Recording
+from crumple.scene import Hit, Scene
+from crumple.session import Session, View
+from crumple.types import (
+    CarPose, Health, Mesh, Obstacle, Parameters, Pose, Reaction, Shape, Solver, Statistics, Surface, Vertices,
+)
+
+__all__ = [
+    "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "Parameters", "Pose", "Reaction", "Recording",
+    "Refused", "Scene", "Session", "Shape", "Solver", "Statistics", "Surface", "Vertices", "View", "columns",
+]

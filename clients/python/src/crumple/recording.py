@@ -1,0 +1,244 @@
+"""Recordings: MCAP files that `crumple serve --record` wrote. Messages go through the same client library as live ones."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import McapReader, make_reader
+from numpy.typing import NDArray
+
+from crumple._convert import REACTION
+from crumple._library import Error, check, ffi, lib
+from crumple.schema.Answer import Answer
+from crumple.schema.Command import Command
+from crumple.schema.Obstacles import Obstacles, ObstaclesT
+from crumple.schema.Order import Order
+from crumple.schema.Spawn import Spawn
+from crumple.session import View
+from crumple.types import Mesh, Obstacle, Pose, Shape, Surface, Vertices
+
+FRAME = ("/key/0", "/delta/0", "/reactions", "health", "tick")  # ends of keys
+
+
+@dataclass(frozen=True)
+class Life:
+    """A car from its spawn to its despawn (None: it lived to the end)."""
+
+    car: str
+    asset: str
+    host: str
+    spawned: int  # ticks
+    despawned: int | None = None
+
+
+class Frame(View):
+    """The cars as they were after one tick."""
+
+    def __init__(self, recording: Recording, tick: int) -> None:
+        self._scene = ffi.new("char[]", recording.scene.encode())
+        super().__init__(scene=self._scene)
+        check(lib.crumple_follow(self._handle, ffi.NULL, 0))
+        self.tick = tick
+        self._recording = recording
+        self._from = tick  # where the cars are sought when they are first asked for
+        self._sought: set[str] = set()
+
+    @property
+    def time(self) -> float:
+        """Of the server's ticks, s."""
+        return self.tick / self._recording.rate
+
+    def cars(self) -> list[str]:
+        return [car for car in self._recording.cars if self.surface(car)]
+
+    def surface(self, car: str) -> Surface | None:
+        return super().surface(car) if self._seek(car) else None
+
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
+        return super().vertices(car, out, time) if self._seek(car) else None
+
+    def _mesh(self, asset: str) -> Mesh | None:
+        if asset not in self._meshes and asset in self._recording.assets:
+            self.add_asset(self._recording.assets[asset])
+        return super()._mesh(asset)
+
+    def _seek(self, car: str) -> bool:
+        if car not in self._sought:
+            self._sought.add(car)
+            for key, data in self._recording._last_surface(car, self._from):
+                self._feed(key, data)
+        return car in super().cars() and self._recording._lives(car, self.tick)
+
+    def _feed(self, key: str, data: bytes) -> None:
+        check(lib.crumple_feed(self._handle, key.encode(), data, len(data)))
+
+
+class Recording:
+    """A recording as a context manager. Times are seconds of the server's ticks, as in Reaction.time."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._file = open(path, "rb")
+        summary = head = None
+        with contextlib.suppress(McapError, OSError):  # the latter for a file of a few bytes
+            self._reader: McapReader = make_reader(self._file)
+            summary = self._reader.get_summary()
+            head = {each.name: each.metadata for each in self._reader.iter_metadata()}.get("crumple")
+        if summary is None or head is None:
+            self.close()
+            raise Error(f"{os.fspath(path)}: not a whole recording of crumple; if it was cut off: crumple recover FILE -o WHOLE")
+        self.scene, self.rate, self.program = head["scene"], float(head["rate"]), head["program"]
+        self._root = f"crumple/1/{self.scene}/"
+        self._topics = {channel.topic.removeprefix(self._root) for channel in summary.channels.values()}
+        self.cars = sorted({key.split("/")[1] for key in self._topics if key.startswith("car/") and key.endswith("/key/0")})
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    @cached_property
+    def assets(self) -> dict[str, bytes]:
+        """The baked cars by hash."""
+        return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith("crumple.car")}
+
+    @cached_property
+    def _ticks(self) -> NDArray[np.uint64]:
+        """Rows of tick and log time (ns) of its end."""
+        rows = [(tick, at) for tick, at, _, _ in self._messages(lambda key: key == "tick")]
+        if not rows:
+            raise Error(f"{self._file.name}: not one whole tick was recorded")
+        return np.array(rows, np.uint64)
+
+    @property
+    def start(self) -> float:
+        return float(self._ticks[0, 0]) / self.rate
+
+    @property
+    def end(self) -> float:
+        return float(self._ticks[-1, 0]) / self.rate
+
+    def messages(self, key: str | None = None) -> Iterator[tuple[int, str, bytes]]:
+        """Tick, key below crumple/1/{scene}/ and bytes (crumple.schema reads them) of all messages, or of those with one key."""
+        for tick, _, below, data in self._messages(lambda topic: key in (None, topic)):
+            yield tick, below, data
+
+    def _messages(self, wanted: Callable[[str], bool], **bounds: Any) -> Iterator[tuple[int, int, str, bytes]]:
+        topics = [self._root + key for key in self._topics if wanted(key)]
+        if not topics:
+            return
+        for _, channel, message in self._reader.iter_messages(topics, **bounds):
+            yield message.sequence, message.log_time, channel.topic.removeprefix(self._root), message.data
+
+    def _tick_at(self, time: float) -> int:
+        """The last one that had ended then."""
+        ticks = self._ticks[:, 0]
+        return int(ticks[max(0, int(np.searchsorted(ticks, time * self.rate + 1e-6, side="right")) - 1)])
+
+    def _log_time(self, tick: int) -> int:
+        return int(self._ticks[np.searchsorted(self._ticks[:, 0], tick), 1])
+
+    def _last_surface(self, car: str, tick: int) -> list[tuple[str, bytes]]:
+        """What gives the surface after a tick: the last keyframe, and the last delta against it."""
+        found: list[tuple[str, bytes]] = []
+        key_tick = 0
+        for kind in ("key", "delta"):
+            parts: list[tuple[str, bytes]] = []
+            last = None
+            backwards = self._messages(f"car/{car}/{kind}/0".__eq__, ending_at=self._log_time(tick), reverse=True)
+            for at, _, key, data in backwards:
+                if last not in (None, at) or at < key_tick:
+                    break
+                last = at
+                parts.insert(0, (self._root + key, data))
+            key_tick = last or 0
+            found += parts
+        return found
+
+    def at(self, time: float) -> Frame:
+        """The cars after the last tick that had ended then, or after the first. Each is sought in the file when first asked for."""
+        return Frame(self, self._tick_at(time))
+
+    def frames(self, start: float = 0.0, end: float = float("inf")) -> Iterator[Frame]:
+        """Every tick, in one Frame that goes on, with its reactions() and health()."""
+        frame = self.at(max(start, self.start))
+        frame.cars()
+        yield frame
+        begun = self._log_time(frame.tick)
+        for tick, _, key, data in self._messages(lambda key: key.endswith(FRAME), starting_after=begun):
+            if tick / self.rate > end:
+                break
+            if key == "tick":
+                frame.tick = tick
+                yield frame
+            else:
+                frame._feed(self._root + key, data)
+
+    def reactions(self, start: float = 0.0, end: float = float("inf")) -> NDArray[np.void]:
+        """All of a time as one structured array: rows["impulse"] is n x 3; columns(rows) is for pandas.DataFrame."""
+        found = [np.zeros(0, REACTION)]
+        with Frame(self, 0) as frame:
+            for tick, _, key, data in self._messages(lambda key: key.endswith("/reactions")):
+                if start <= tick / self.rate <= end:
+                    frame._feed(self._root + key, data)
+                    found.append(frame.reaction_rows())
+        return np.concatenate(found)
+
+    def obstacles(self, time: float = float("inf")) -> dict[str, list[Obstacle]]:
+        """By host: its list at a time."""
+        lists: dict[str, list[Obstacle]] = {}
+        last = self._tick_at(time)
+        for tick, _, key, data in self._messages(lambda key: key.endswith("/obstacles")):
+            if tick <= last:
+                read = ObstaclesT.InitFromObj(Obstacles.GetRootAs(data))
+                lists[key.split("/")[1]] = [_obstacle_of(each) for each in read.obstacles]
+        return lists
+
+    @cached_property
+    def lives(self) -> list[Life]:
+        """Who was there, and when."""
+        lives: list[Life] = []
+        asked: dict[str, Any] = {}
+        commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
+        for tick, _, key, data in commands:
+            car = key.split("/")[1]
+            if not key.endswith("/answer"):
+                asked[car] = Command.GetRootAs(data)
+                continue
+            command = asked.pop(car, None)
+            if command is None or not Answer.GetRootAs(data).Ok():
+                continue
+            if command.OrderType() == Order.Spawn:
+                spawn = Spawn()
+                spawn.Init(command.Order().Bytes, command.Order().Pos)
+                lives.append(Life(car, spawn.Asset().decode(), spawn.Host().decode(), tick))
+            elif command.OrderType() == Order.Despawn:
+                lives = [replace(life, despawned=tick) if life.car == car and life.despawned is None else life for life in lives]
+        return lives
+
+    def _lives(self, car: str, tick: int) -> bool:
+        """Unless it was despawned, and not spawned again: a recording may begin with cars that live."""
+        last = [life for life in self.lives if life.car == car and life.spawned <= tick]
+        return not last or last[-1].despawned is None or tick < last[-1].despawned
+
+
+def _obstacle_of(read: Any) -> Obstacle:
+    def vector(of: Any) -> tuple[float, ...]:
+        return (of.x, of.y, of.z) if of else (0.0, 0.0, 0.0)
+
+    turn = read.pose.orientation
+    return Obstacle(
+        read.id, Shape(read.shape), vector(read.size), Pose(vector(read.pose.position), (turn.x, turn.y, turn.z, turn.w)),
+        read.friction, vector(read.velocity), vector(read.angularVelocity), tuple(map(vector, read.points or ())),
+    )

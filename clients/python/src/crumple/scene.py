@@ -1,0 +1,83 @@
+"""Scenes: the JSON files that `crumple drive` plays (schema/scene.fbs), to read, change and write."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pathlib
+from dataclasses import dataclass, field
+from typing import Any
+
+from crumple.types import ZERO, Obstacle, Parameters, Pose, Shape, Solver, Vector
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One run-up of the car: from `position`, at this speed along `direction` (of length 1), until it hits something."""
+
+    position: Vector
+    direction: Vector
+    speed_kmh: float = 0.0
+    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    repair: float = 0.0  # share of the earlier damage that is taken away before
+    seconds: float = 3.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    about: str
+    obstacles: tuple[Obstacle, ...]
+    hits: tuple[Hit, ...]
+    car: str = ""  # path or hash of the baked car
+    mass: float = 0.0  # kg; 0: the baked car's
+    planar: bool = True
+    rate: float = 60.0  # poses a second
+    parameters: tuple[Parameters, ...] = ()
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Scene:
+        given = json.loads(pathlib.Path(path).read_text())
+        try:
+            obstacles = tuple(_obstacle(each) for each in given.pop("obstacles"))
+            hits = tuple(Hit(**_vectors(each)) for each in given.pop("hits"))
+            parameters = tuple(_parameters(each) for each in given.pop("parameters", []))
+            return cls(obstacles=obstacles, hits=hits, parameters=parameters, **given)
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{os.fspath(path)}: {error} (the form of a scene: schema/scene.fbs)") from error
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        pathlib.Path(path).write_text(json.dumps(_json(self), indent=2) + "\n")
+
+
+def _vectors(given: dict[str, Any]) -> dict[str, Any]:
+    def value(of: Any) -> Any:
+        return tuple(float(of.get(axis, 0.0)) for axis in "xyzw" if axis in of or axis != "w") if isinstance(of, dict) else of
+
+    return {name: value(each) for name, each in given.items()}
+
+
+def _obstacle(given: dict[str, Any]) -> Obstacle:
+    rest = {name: each for name, each in given.items() if name not in ("pose", "shape", "points")}
+    points = tuple(_vectors({"": point})[""] for point in given.get("points", []))
+    return Obstacle(shape=Shape[given["shape"]], pose=Pose(**_vectors(given["pose"])), points=points, **_vectors(rest))
+
+
+def _parameters(given: dict[str, Any]) -> Parameters:
+    renamed = {"yield_" if name == "yield" else name: each for name, each in given.items()}
+    if "solver" in renamed:
+        renamed["solver"] = Solver[renamed["solver"]]
+    return Parameters(**renamed)
+
+
+def _json(value: Any) -> Any:
+    if isinstance(value, (Shape, Solver)):
+        return value.name
+    if dataclasses.is_dataclass(value):  # what is absent has its default there as here; but a Pose is a struct, always whole
+        given = [(each, getattr(value, each.name)) for each in dataclasses.fields(value)]
+        return {each.name.rstrip("_"): _json(of) for each, of in given if isinstance(value, Pose) or of != each.default}
+    if isinstance(value, (list, tuple)) and value and isinstance(value[0], (int, float)):
+        return dict(zip("xyzw", map(float, value)))
+    return [_json(each) for each in value] if isinstance(value, (list, tuple)) else value

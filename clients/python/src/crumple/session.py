@@ -1,0 +1,240 @@
+"""Sessions: what is held of the cars, and the network that it comes by. One thread at a time uses one."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from crumple import _convert
+from crumple._library import Error, Refused, check, ffi, lib, text
+from crumple.types import CarPose, Health, Mesh, Obstacle, Parameters, Pose, Reaction, Statistics, Surface, Vector, Vertices
+
+Value = TypeVar("Value")
+
+
+def _array(place: Any, count: int, kind: type[Any]) -> NDArray[Any]:
+    """A copy: what the library shows lives until the next poll only."""
+    rows = np.frombuffer(ffi.buffer(place, 3 * count * np.dtype(kind).itemsize), kind)
+    return rows.reshape(count, 3).copy()
+
+
+class View:
+    """Cars as one sees them: live (Session) or at one moment of a recording (Frame)."""
+
+    def __init__(self, **options: Any) -> None:
+        given = ffi.new("CrumpleOptions*", {"version": lib.CRUMPLE_CLIENT_VERSION, **options})
+        out = ffi.new("Crumple**")
+        check(lib.crumple_open(given, out))
+        self._open: Any = ffi.gc(out[0], lib.crumple_close)
+        self._meshes: dict[str, Mesh] = {}
+
+    @property
+    def _handle(self) -> Any:
+        if self._open is None:
+            raise Error("this session is closed")
+        return self._open
+
+    def close(self) -> None:
+        if self._open is not None:
+            ffi.release(self._open)
+        self._open = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def cars(self) -> list[str]:
+        """Ids of all that is held or followed."""
+        count = lib.crumple_cars(self._handle, ffi.NULL, 0)
+        ids = ffi.new("const char*[]", count)
+        lib.crumple_cars(self._handle, ids, count)
+        return [text(each) for each in ids]
+
+    def surface(self, car: str) -> Surface | None:
+        """None: nothing whole has arrived yet, or nothing since a pause of half a second without poll()."""
+        out = ffi.new("CrumpleSurface*")
+        if check(lib.crumple_surface(self._handle, car.encode(), out)) == lib.CRUMPLE_PENDING:
+            return None
+        quanta = _array(out.quanta, out.node_count, np.int16)
+        return Surface(out.tick, out.hash, out.quantum, text(out.asset), quanta, bool(out.dirty), bool(out.alive))
+
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
+        """Positions and normals, written into the arrays of `out` if given: those of an earlier call, or the caller's own, which may
+        be fields of one structured array. time: of the last half second of Session.time, as it was then, between two ticks if need
+        be; 0: the newest. None: its surface or its mesh has not arrived yet; poll and ask again."""
+        surface = ffi.new("CrumpleSurface*")
+        if check(lib.crumple_surface(self._handle, car.encode(), surface)) == lib.CRUMPLE_PENDING:
+            return None
+        mesh = self._mesh(text(surface.asset))
+        if mesh is None:
+            return None
+        if out is None:
+            out = Vertices(np.empty_like(mesh.vertex), np.empty_like(mesh.vertex), np.empty_like(mesh.vertex))
+        arrays = (out.position, out.displacement, out.normal)
+        stride = out.position.strides[0]
+        for array in arrays:
+            if array.shape != mesh.vertex.shape or array.dtype != np.float32 or array.strides != (stride, 4):
+                raise ValueError(f"not an array of float32 of {len(mesh.vertex)} x 3 with the strides of the other two")
+            if not array.flags.writeable:
+                raise ValueError("an array of `out` is read-only")
+        places = [ffi.cast("float*", array.ctypes.data) for array in arrays]
+        to = ffi.new("CrumpleVertices*", [*places, stride, len(mesh.vertex), time])
+        check(lib.crumple_copy(self._handle, car.encode(), to))
+        return Vertices(*arrays, slice(to.first, to.first + to.count))
+
+    def _mesh(self, asset: str) -> Mesh | None:
+        if asset in self._meshes:
+            return self._meshes[asset]
+        out = ffi.new("CrumpleMesh*")
+        if check(lib.crumple_mesh(self._handle, asset.encode(), out)) == lib.CRUMPLE_PENDING:
+            return None
+        self._meshes[asset] = Mesh(
+            _array(out.vertex, out.vertex_count, np.float32), _array(out.triangle, out.triangle_count, np.uint32),
+            out.mass, tuple(out.center_of_mass), text(out.name), text(out.attribution),
+        )
+        return self._meshes[asset]
+
+    def mesh(self, asset: str) -> Mesh:
+        mesh = self._mesh(asset)
+        if mesh is None:
+            raise Error(f"asset {asset} has not arrived yet")
+        return mesh
+
+    def add_asset(self, car: str | os.PathLike[str] | bytes) -> str:
+        """The bytes or the path of a baked car, so that it need not come from the server. Gives its name for spawn()."""
+        data = car if isinstance(car, bytes) else pathlib.Path(car).read_bytes()
+        name = ffi.new("char[17]")
+        check(lib.crumple_add_asset(self._handle, data, len(data), name))
+        return text(name)
+
+    def health(self) -> Health | None:
+        """Of the server, once a second; None: it has not told yet."""
+        out = ffi.new("CrumpleHealth*")
+        if lib.crumple_health(self._handle, out) == lib.CRUMPLE_PENDING:
+            return None
+        return Health(out.tick, out.late, out.rate, out.tick_ms, out.worst_ms, out.refusals)
+
+    def statistics(self) -> Statistics:
+        out = ffi.new("CrumpleStatistics*")
+        lib.crumple_statistics(self._handle, out)
+        return Statistics(*(getattr(out, name) for name in Statistics.__dataclass_fields__))
+
+    def reaction_rows(self) -> NDArray[np.void]:
+        """reactions() as a structured array."""
+        taken = ffi.new("CrumpleReaction[]", 4096)
+        return _convert.reaction_rows(taken, lib.crumple_take_reactions(self._handle, taken, 4096))
+
+    def reactions(self) -> list[Reaction]:
+        """Those that came since the last call, oldest first."""
+        return [_convert.reaction_of(row) for row in self.reaction_rows()]
+
+
+class Session(View):
+    """A session with a scene of a server. host: the id under which it moves cars; None: a viewer. timeout (s): for the connection
+    and for each command. network: JSON5 of zenoh's own configuration (TLS, user, password), as of `crumple watch --network`."""
+
+    def __init__(
+        self, connect: str, scene: str = "main", host: str | None = None, timeout: float = 2.0, network: str | None = None,
+    ) -> None:
+        keep = {name: ffi.new("char[]", value.encode())
+                for name, value in (("connect", connect), ("scene", scene), ("host", host), ("network", network))
+                if value is not None}
+        super().__init__(timeout_ms=max(1, round(1000 * timeout)), **keep)
+        self._timeout = timeout
+
+    def poll(self, timeout: float = 0.0) -> int:
+        """Takes in what has arrived; waits for at most `timeout` seconds if there is nothing. Gives the number of messages."""
+        return check(lib.crumple_poll(self._handle, round(1e6 * max(0.0, timeout))))
+
+    def until(self, condition: Callable[[], Value | None], timeout: float = 10.0) -> Value:
+        """Polls until the condition gives something that is true, and gives that; TimeoutError after `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while not (value := condition()):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"not so within {timeout:g} s")
+            self.poll(0.1)
+        return value
+
+    # ---- commands: each gives the first tick that knows of it, or raises Refused with the server's sentence
+
+    def _order(self, send: Callable[..., int], car: str, *arguments: Any) -> Any:
+        ticket = ffi.new("uint64_t*")
+        check(send(self._handle, car.encode(), *arguments, ticket))
+        answer = ffi.new("CrumpleAnswer*")
+        check(lib.crumple_wait(self._handle, ticket[0], answer))
+        if not answer.ok:
+            raise Refused(text(answer.sentence))
+        return answer
+
+    def spawn(
+        self, car: str, asset: str, pose: Pose = Pose(), *, planar: bool = True, mass: float = 0.0,
+        inertia: Vector = (0.0, 0.0, 0.0), center_of_mass: Vector = (0.0, 0.0, 0.0),
+    ) -> int:
+        """planar: on its wheels. What is 0 is the baked car's."""
+        to = ffi.new("CrumpleSpawn*")
+        _convert.fill_pose(pose, to.pose)
+        to.mass, to.planar = mass, int(planar)
+        to.inertia = _convert.numbers(inertia, 3, "inertia")
+        to.center_of_mass = _convert.numbers(center_of_mass, 3, "center_of_mass")
+        return int(self._order(lib.crumple_spawn, car, asset.encode(), to).tick)
+
+    def despawn(self, car: str) -> int:
+        return int(self._order(lib.crumple_despawn, car).tick)
+
+    def repair(self, car: str, amount: float = 1.0) -> int:
+        """amount: share of the damage that is taken away."""
+        return int(self._order(lib.crumple_repair, car, amount).tick)
+
+    def set_parameters(self, car: str, parameters: Parameters) -> int:
+        return int(self._order(lib.crumple_set_parameters, car, _convert.c_parameters(parameters)).tick)
+
+    def save(self, car: str) -> bytes:
+        """The car's deformation, for load()."""
+        answer = self._order(lib.crumple_save, car)
+        return bytes(ffi.buffer(answer.state, answer.state_size))
+
+    def load(self, car: str, state: bytes) -> int:
+        return int(self._order(lib.crumple_load, car, state, len(state)).tick)
+
+    # ---- host
+
+    def publish_poses(self, time: float, cars: Sequence[CarPose]) -> None:
+        """All cars of this host. time: the host's clock, s."""
+        names = [ffi.new("char[]", car.car.encode()) for car in cars]
+        list_ = ffi.new("CrumpleCarPose[]", len(cars))
+        for car, name, to in zip(cars, names, list_):
+            _convert.fill_car_pose(car, name, to)
+        check(lib.crumple_publish_poses(self._handle, time, list_, len(cars)))
+
+    def publish_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
+        """The whole list of this host; it replaces the one before."""
+        hulls = [ffi.new("float[]", [x for point in each.points for x in _convert.numbers(point, 3, "a point")])
+                 for each in obstacles]
+        list_ = ffi.new("CrumpleObstacle[]", len(obstacles))
+        for each, points, to in zip(obstacles, hulls, list_):
+            _convert.fill_obstacle(each, points, to)
+        check(lib.crumple_publish_obstacles(self._handle, list_, len(obstacles)))
+
+    # ---- viewer
+
+    @property
+    def time(self) -> float:
+        """The server's now, as in Reaction.time; 0: nothing has come yet."""
+        return float(lib.crumple_time(self._handle))
+
+    def follow(self, car: str | None = None, level: int = 0) -> None:
+        """From now on this car's surface is held; None: every car's. level 0: every tick, 1: for who is far."""
+        check(lib.crumple_follow(self._handle, car.encode() if car else ffi.NULL, level))
+
+    def mesh(self, asset: str) -> Mesh:
+        """Fetched from the server once; waits until it is there."""
+        return self.until(lambda: self._mesh(asset), max(10.0, self._timeout))

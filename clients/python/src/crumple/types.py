@@ -1,0 +1,157 @@
+"""What goes to the server and comes from it. SI units; world z up; a car is x forward, y left, z up; orientations are unit
+quaternions (x, y, z, w)."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = Sequence[float]  # numpy's arrays too
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a frame stands in the world."""
+
+    position: Vector = ZERO
+    orientation: Vector = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class CarPose:
+    """What a host intends for one car now. seen: tick of the last reaction that it contains; 0: the car follows a script."""
+
+    car: str
+    pose: Pose
+    velocity: Vector = ZERO  # of the centre of mass, world
+    angular_velocity: Vector = ZERO  # rad/s, world
+    seen: int = 0
+    importance: float = 1.0  # in (0, 1]
+
+
+class Shape(enum.IntEnum):
+    box = 0  # size: half extents
+    sphere = 1  # size: radius
+    capsule = 2  # size: radius, half the length of its axis (local z)
+    half_space = 3  # solid where local z <= 0
+    hull = 4  # of points
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A rigid convex thing. With velocities it moves on by itself."""
+
+    id: int
+    shape: Shape
+    size: Vector = ZERO
+    pose: Pose = field(default_factory=Pose)
+    friction: float = 0.3
+    velocity: Vector = ZERO
+    angular_velocity: Vector = ZERO
+    points: tuple[Vector, ...] = ()  # of a hull, local
+
+
+class Solver(enum.IntEnum):
+    nodal = 0
+    classic = 1
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """None: it stays as it is. Ranges: server/sim/material.h."""
+
+    solver: Solver | None = None
+    iterations: int | None = None
+    substeps: int | None = None
+    tolerance: float | None = None
+    region: int = -1  # which the fields below are for; -1: all
+    young_modulus: float | None = None
+    poisson_ratio: float | None = None
+    yield_: float | None = None
+    hardening: float | None = None
+    plastic_limit: float | None = None
+    viscosity: float | None = None
+    distance_stiffness: float | None = None  # of the solver `classic`, as the next two
+    volume_stiffness: float | None = None
+    plasticity: float | None = None
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """What one tick did to one car."""
+
+    car: str
+    tick: int
+    time: float  # of the server's ticks, s
+    impulse: Vector  # N s, world
+    angular_impulse: Vector  # N m s about the centre of mass, world
+    pose: Pose  # at the end of the tick
+    velocity: Vector
+    angular_velocity: Vector
+    energy_absorbed: float  # J since spawn
+    energy_stored: float
+    deepest: float  # m
+    contacts: int
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What is held of a car, bit for bit what the server has. quanta: displacement from rest of the nodes that the skin uses."""
+
+    tick: int
+    hash: int  # XXH64 of quanta
+    quantum: float  # m
+    asset: str
+    quanta: NDArray[np.int16]  # nodes x 3
+    dirty: bool  # changed since the last call of vertices()
+    alive: bool
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """Float arrays of n x 3; changed: outside of it nothing is other than the last time."""
+
+    position: NDArray[np.float32]  # m, car's frame
+    displacement: NDArray[np.float32]  # m, from rest
+    normal: NDArray[np.float32]
+    changed: slice = field(default_factory=lambda: slice(0))
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A car as undamaged."""
+
+    vertex: NDArray[np.float32]  # n x 3, m
+    triangle: NDArray[np.uint32]  # m x 3
+    mass: float  # kg
+    center_of_mass: tuple[float, ...]  # m
+    name: str
+    attribution: str  # must be shown where the car is
+
+
+@dataclass(frozen=True)
+class Health:
+    tick: int
+    late: int  # ticks that could not start in time
+    rate: float  # ticks a second
+    tick_ms: float  # of the last second: mean
+    worst_ms: float
+    refusals: int
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Messages and bytes that came; of them surfaces; how many of these were older than what is held, malformed, asked for."""
+
+    received: int
+    received_bytes: int
+    surface: int
+    surface_bytes: int
+    older: int
+    refused: int
+    asked: int

@@ -1,0 +1,245 @@
+"""The shared client library and the Python package on it, as they are installed: against a real server.
+
+    python tests/python_package_test.py build/crumple CAR build/clients/libcrumple_client.so [unittest's options]
+"""
+
+import dataclasses
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+import crumple
+from crumple.schema.Delta import Delta
+from crumple.schema.Keyframe import Keyframe
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PATIENCE = 60.0  # s for what must come
+PROGRAM, CAR, LIBRARY = sys.argv[1:4]
+
+
+def output(*command, **options):
+    return subprocess.run([*map(str, command)], check=True, text=True, stdout=subprocess.PIPE, **options).stdout
+
+
+class TheLibrary(unittest.TestCase):
+    def test_shows_its_header_and_nothing_else(self):
+        declared = set(re.findall(r"\b(crumple_\w+)\(", (ROOT / "clients/cpp/crumple_client.h").read_text()))
+        shown = {line.split()[-1] for line in output("nm", "-D", "--defined-only", LIBRARY).splitlines()}
+        self.assertEqual(shown, declared)
+
+    def test_needs_no_library_that_not_every_linux_has(self):
+        needed = set(re.findall(r"NEEDED.*\[(.*)\]", output("readelf", "-d", LIBRARY)))
+        self.assertIn("libc.so.6", needed)
+        self.assertLessEqual(needed, {"libc.so.6", "libm.so.6", "libgcc_s.so.1", "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"})
+
+
+class ThePackage(unittest.TestCase):
+    def setUp(self):
+        self.folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory(prefix="crumple_test_")))
+        shutil.copy(CAR, self.folder / "car.car")
+        self.recording = self.folder / "session.mcap"
+        command = [PROGRAM, "serve", "--car", CAR, "--listen", "tcp/127.0.0.1:0", "--record", self.recording, "--threads", "1"]
+        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.addCleanup(self.stop)
+        first = self.server.stdout.readline()
+        self.assertTrue(first, "the server did not start; it says why above")
+        self.endpoint = re.search(r"tcp/[0-9.:]+", first).group()
+
+    def stop(self):
+        if self.server.poll() is None:
+            self.server.terminate()
+            self.assertEqual(self.server.wait(PATIENCE), 0, "the server did not end cleanly")
+        self.server.stdout.close()
+
+    def session(self, host=None):
+        return self.enterContext(crumple.Session(self.endpoint, host=host, timeout=PATIENCE))
+
+    @staticmethod
+    def held(session):
+        surface = session.surface("car1")
+        return surface.hash if surface else None
+
+    def crash(self, host):
+        """A wall 0.7 m before the car's nose, the car at 15 m/s; until nothing is told of it any more. Gives all reactions."""
+        nose = host.mesh(self.asset).vertex[:, 0].max()
+        self.wall = crumple.Obstacle(7, crumple.Shape.box, (1.0, 5.0, 5.0), crumple.Pose((float(nose) + 1.7, 0.0, 0.0)), 0.25)
+        host.publish_obstacles([self.wall])
+        host.publish_poses(0.0, [crumple.CarPose("car1", crumple.Pose(), velocity=(15.0, 0.0, 0.0))])
+        reactions = []
+
+        def over():
+            reactions.extend(host.reactions())
+            touched = [each.tick for each in reactions if each.contacts]
+            return touched and reactions[-1].tick >= touched[-1] + 15
+
+        host.until(over, PATIENCE)
+        return reactions
+
+    def test_a_host_and_a_viewer_end_with_the_surface_of_the_server(self):
+        host, viewer = self.session("script"), self.session()
+        self.asset = host.add_asset(CAR)
+        self.assertGreater(host.spawn("car1", self.asset), 0)
+        host.follow("car1")
+        viewer.follow()
+        reactions = self.crash(host)
+        self.assertGreater(reactions[-1].energy_absorbed, 10e3)
+        self.assertLess(reactions[-1].velocity[0], 5.0)
+        dent = host.until(lambda: host.surface("car1"), PATIENCE)
+        viewer.until(lambda: viewer.cars() == ["car1"] and self.held(viewer) == dent.hash, PATIENCE)
+        late = self.session()
+        late.follow("car1")
+        self.assertEqual(late.until(lambda: self.held(late), PATIENCE), dent.hash)
+        self.assertTrue(dent.quanta.flags.owndata, "what the library shows is gone with the next poll")
+        watched = output(PROGRAM, "watch", "--connect", self.endpoint, "--once")
+        self.assertIn(f"hash {dent.hash:016x}", watched, "the program's own viewer differs")
+
+        # Positions and normals, in the caller's memory; the mesh came from the server.
+        mesh = viewer.mesh(dent.asset)
+        self.assertEqual(mesh.mass, host.mesh(self.asset).mass)
+        self.assertIn("built-in", mesh.name)
+        buffer = np.full(len(mesh.vertex), 7, [("position", "f4", 3), ("normal", "f4", 3), ("moved", "f4", 3), ("uv", "f4", 2)])
+        given = crumple.Vertices(buffer["position"], buffer["moved"], buffer["normal"])
+        self.assertEqual(viewer.vertices("car1", given).changed, slice(0, len(mesh.vertex)))
+        self.assertTrue((buffer["uv"] == 7).all())
+        np.testing.assert_array_equal(buffer["position"], mesh.vertex + buffer["moved"])
+        deepest = np.abs(buffer["moved"]).max()
+        self.assertAlmostEqual(deepest, np.abs(dent.quanta).max() * dent.quantum, delta=0.02)
+        self.assertGreater(deepest, 0.1)
+        np.testing.assert_allclose(np.linalg.norm(buffer["normal"], axis=1), 1, atol=1e-5)
+        self.assertFalse(viewer.surface("car1").dirty)
+        with self.assertRaisesRegex(ValueError, "float32"):
+            viewer.vertices("car1", crumple.Vertices(*[np.zeros((len(mesh.vertex), 3))] * 3))
+
+        # As it was: the same while nothing moves.
+        past = viewer.vertices("car1", time=viewer.time - 0.1)
+        np.testing.assert_array_equal(past.displacement, buffer["moved"])
+        self.assertGreaterEqual(viewer.time, dent.tick / 60)
+
+        state = host.save("car1")
+        host.repair("car1")
+        viewer.until(lambda: self.held(viewer) not in (None, dent.hash), PATIENCE)
+        self.assertFalse(viewer.surface("car1").quanta.any(), "repaired, but not as new")
+        host.load("car1", state)
+        viewer.until(lambda: self.held(viewer) == dent.hash, PATIENCE)
+        self.assertGreater(viewer.until(viewer.health, PATIENCE).tick, dent.tick)
+        self.assertGreater(viewer.statistics().surface, 3)
+        host.despawn("car1")
+        viewer.until(lambda: self.held(viewer) and not viewer.surface("car1").alive, PATIENCE)
+        viewer.close()
+        with self.assertRaisesRegex(crumple.Error, "closed"):
+            viewer.cars()
+        self.stop()
+        self.check_recording(reactions, dent)
+
+    def check_recording(self, reactions, dent):
+        with crumple.Recording(self.recording) as recording:
+            told = {tick: message.GetRootAs(data).Hash() for name, message in (("key", Keyframe), ("delta", Delta))
+                    for tick, _, data in recording.messages(f"car/car1/{name}/0")}
+            self.assertEqual(told[dent.tick], dent.hash, "the server told another hash")
+            life, = recording.lives
+            self.assertEqual((life.car, life.host, life.asset), ("car1", "script", self.asset))
+            self.assertEqual(recording.obstacles(), {"script": [self.wall]})
+            rows = recording.reactions(end=reactions[-1].time)
+            by_tick = {int(row["tick"]): row for row in rows}
+            for each in reactions:
+                row = by_tick[each.tick]
+                self.assertEqual((row["car"], tuple(row["impulse"]), tuple(row["position"]), row["energy_absorbed"]),
+                                 (each.car, each.impulse, each.pose.position, each.energy_absorbed))
+            table = crumple.columns(rows)
+            self.assertTrue(all(column.shape == (len(rows),) for column in table.values()))
+            np.testing.assert_array_equal(table["impulse_x"], rows["impulse"][:, 0])
+
+            with recording.at(dent.tick / recording.rate) as frame:
+                np.testing.assert_array_equal(frame.surface("car1").quanta, dent.quanta)
+                moved = frame.vertices("car1")
+                np.testing.assert_array_equal(moved.position, frame.mesh(self.asset).vertex + moved.displacement)
+            self.assertEqual(recording.at(recording.end).cars(), [], "it was despawned")
+            walked, told_while = {}, []
+            for frame in recording.frames():
+                walked[frame.tick] = frame.surface("car1")
+                told_while += frame.reactions()
+            self.assertEqual([each.tick for each in told_while], recording.reactions()["tick"].tolist())
+            before = [tick for tick in walked if tick < life.spawned]
+            self.assertTrue(all(walked[tick] is None for tick in before))
+            self.assertTrue(all(recording.at(tick / recording.rate).cars() == [] for tick in before[:3]))
+            for tick in range(life.spawned, life.despawned, 5):  # seeking gives what going there gives
+                sought = recording.at(tick / recording.rate).surface("car1")
+                self.assertEqual((sought.tick, sought.hash), (walked[tick].tick, walked[tick].hash))
+                self.assertEqual(told[sought.tick], sought.hash)
+
+    def test_what_is_no_whole_recording_is_told_with_the_remedy(self):
+        whole = (ROOT / "recordings/m130_wall.mcap").read_bytes()
+        for other in (b"", b"no recording at all, but long enough to be one", whole[:-3000], whole[:9]):
+            (self.folder / "other.mcap").write_bytes(other)
+            with self.assertRaisesRegex(crumple.Error, "other.mcap.*crumple recover"):
+                crumple.Recording(self.folder / "other.mcap")
+
+    def test_what_the_server_refuses_is_raised_with_its_sentence(self):
+        host = self.session("script")
+        asset = host.add_asset(CAR)
+        with self.assertRaisesRegex(crumple.Refused, "car1"):
+            host.repair("car1")
+        host.spawn("car1", asset)
+        with self.assertRaisesRegex(crumple.Refused, "yield"):
+            host.set_parameters("car1", crumple.Parameters(yield_=-1.0))
+        self.assertGreater(host.set_parameters("car1", crumple.Parameters(solver=crumple.Solver.classic, iterations=5)), 0)
+        with self.assertRaisesRegex(crumple.Refused, "."):
+            host.load("car1", b"nothing that was saved")
+        with self.assertRaisesRegex(crumple.Error, "unit quaternion"):
+            host.publish_poses(0.0, [crumple.CarPose("car1", crumple.Pose(orientation=(0, 0, 0, 2)))])
+        with self.assertRaisesRegex(ValueError, "position has 2 numbers"):
+            host.publish_poses(0.0, [crumple.CarPose("car1", crumple.Pose((0, 0)))])
+        with self.assertRaisesRegex(crumple.Error, "host"):
+            self.session().publish_obstacles([])
+        with self.assertRaisesRegex(crumple.Error, "crumple_follow"):
+            host.surface("car2")
+        with self.assertRaisesRegex(crumple.Error, "no server of scene other"):
+            crumple.Session(self.endpoint, scene="other", timeout=0.2)
+        with self.assertRaises(TimeoutError):
+            host.until(lambda: False, 0.2)
+
+    def test_the_example_of_the_readme_tells_what_was_recorded(self):
+        text = (ROOT / "clients/python/README.md").read_text()
+        example = re.match(r"# .*\n\n```python\n(.*?)```", text, re.DOTALL).group(1)
+        self.assertLess(example.count("\n"), 60)
+        self.assertEqual(example.count("tcp/127.0.0.1:7447"), 1)
+        printed = output(sys.executable, "-c", example.replace("tcp/127.0.0.1:7447", self.endpoint), cwd=self.folder)
+        self.stop()
+        self.assertGreater(float(re.search(r"(\d+) kJ absorbed", printed).group(1)), 50)
+        self.assertGreater(float(re.search(r"dent (\d+) mm", printed).group(1)), 100)
+        tick, surface = re.search(r"tick (\d+), hash (\w+)", printed).groups()
+        with crumple.Recording(self.recording) as recording:
+            self.assertEqual(f"{recording.at(int(tick) / recording.rate).surface('car1').hash:016x}", surface)
+
+    def test_a_scene_that_a_script_wrote_is_driven(self):
+        pole = crumple.Scene.read(ROOT / "clients/scenes/pole.json")
+        hit = dataclasses.replace(pole.hits[0], position=(8.0, 0.0, 0.0), speed_kmh=36.0, seconds=0.8)
+        parameters = (crumple.Parameters(yield_=0.006, solver=crumple.Solver.nodal),)
+        written = dataclasses.replace(pole, hits=(hit,), mass=1100.0, parameters=parameters)
+        written.write(self.folder / "pole36.json")
+        self.assertEqual(crumple.Scene.read(self.folder / "pole36.json"), written)
+        output(PROGRAM, "drive", self.folder / "pole36.json", "--car", CAR, "--connect", self.endpoint, "--id", "car1")
+        self.stop()
+        with crumple.Recording(self.recording) as recording:
+            rows = recording.reactions()
+            self.assertTrue(rows["contacts"].any() and rows["velocity"][:, 0].max() < 10.1, "36 km/h, into the pole")
+            obstacle, = recording.obstacles()["drive"]
+            self.assertEqual((obstacle.shape, obstacle.pose.position), (crumple.Shape.capsule, (12.15, 0.0, 2.0)))
+
+
+class TheTypes(unittest.TestCase):
+    def test_are_those_that_a_strict_checker_finds(self):
+        folder = ROOT / "clients/python"
+        command = [sys.executable, "-m", "mypy", "--cache-dir", pathlib.Path(PROGRAM).resolve().parent / "mypy"]
+        checked = subprocess.run([*command, "src/crumple", "hatch_build.py"], cwd=folder, text=True, stdout=subprocess.PIPE)
+        self.assertEqual(checked.returncode, 0, checked.stdout)
+
+
+if __name__ == "__main__":
+    unittest.main(argv=sys.argv[:1] + sys.argv[4:], verbosity=2)
