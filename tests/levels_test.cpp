@@ -11,6 +11,7 @@
 #include "box_car.h"
 #include "host.h"
 #include "sim/flow.h"
+#include "snapshot.h"
 #include "state.h"
 
 namespace crumple {
@@ -322,10 +323,8 @@ TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   EXPECT_EQ(other.car().told[0].latest, scene.car().told[0].latest);
 }
 
-// Forty cars in rows before walls, half of which change their level in the same tick; more than a worker takes at once.
-std::vector<uint64_t> hashes(int threads) {
-  Scene scene;
-  scene.threads = threads;
+// Forty cars before a wall, more than a worker takes at once, half of which change their level in the same tick; on a budget.
+void drive_forty(Scene& scene) {
   Inbox inbox = {scene.wall(1.5)};
   std::vector<CarPose> poses;
   for (int k = 0; k < 40; ++k) {
@@ -336,19 +335,44 @@ std::vector<uint64_t> hashes(int threads) {
   }
   inbox.push_back({"host/game/poses", host::poses(++scene.sequence, poses)});
   inbox.push_back(budget_message(3'000'000));
+  scene.step(inbox);
+}
+
+std::vector<uint64_t> hashes(int threads) {
+  Scene scene;
+  scene.threads = threads;
+  drive_forty(scene);
   std::vector<uint64_t> out;
   std::map<size_t, int> sizes;
   uint64_t most = 0;
   for (int k = 0; k < 25; ++k) {
-    scene.step(inbox);
-    inbox.clear();
     out.push_back(hash(*scene.world));
     most = std::max(most, work(*scene.world).done);
+    scene.step();
   }
   for (const auto& [id, car] : scene.world->cars) ++sizes[car.body.node.size()];
   EXPECT_GE(sizes.size(), 2u);
   EXPECT_GT(most, 0u);
   return out;
+}
+
+TEST(Levels, AWorldSavedInMidCrashOnABudgetGoesOnBitForBit) {
+  for (int ticks : {1, 8, 10, 14}) {
+    Scene scene, copy;
+    drive_forty(scene);
+    for (int k = 1; k < ticks; ++k) scene.step();
+    load_world(save_world(*scene.world), *copy.world);
+    uint64_t most = 0;
+    for (int k = 0; k < 30; ++k) {
+      Inbox inbox;
+      if (k == 15) inbox = {budget_message(200'000)};
+      scene.step(inbox);
+      copy.step(inbox);
+      ASSERT_EQ(hash(*copy.world), hash(*scene.world)) << ticks << " and " << k << " ticks";
+      most = std::max(most, work(*scene.world).done);
+    }
+    EXPECT_GT(most, 0u);
+  }
 }
 
 TEST(Levels, AreTheSameBitForBitForAnyThreadCount) {
