@@ -85,7 +85,7 @@ void field(File& file, Told& told) {
 }
 template <class File>
 void field(File& file, Obstacle& obstacle) {
-  field(file, obstacle.faces, obstacle.half_length, obstacle.radius, obstacle.reach, obstacle.friction);
+  field(file, obstacle.faces, obstacle.half_length, obstacle.radius, obstacle.reach, obstacle.width, obstacle.friction);
   field(file, obstacle.pose, obstacle.velocity, obstacle.angular_velocity);
 }
 

@@ -17,13 +17,21 @@ constexpr double spare = 0.2;        // of the budget, that must be left over wh
 
 size_t nodes(const Car& car) { return car.model.node.size(); }
 
-const std::shared_ptr<const Car>& wanted(const Instance& car) {
-  const Levels& levels = *car.levels;
-  const double share = double(car.importance) * double(nodes(*levels.front()));
-  if (share < double(nodes(*car.car)) && share >= reluctance * double(nodes(*car.car))) return car.car;
-  const auto fits = [&](const auto& level) { return double(nodes(*level)) <= share; };
-  const auto found = std::find_if(levels.begin(), levels.end(), fits);
-  return found != levels.end() ? *found : levels.back();
+// Past the coarsest level that sees what is near: between nodes that are farther apart than a pole is wide it gets through, and
+// there is no dent.
+Levels::const_iterator end_of_levels(const Instance& car) {
+  const auto sees = [&](const auto& level) { return level->mean_edge <= car.width; };
+  const auto blind = std::find_if_not(car.levels->begin(), car.levels->end(), sees);
+  return std::max(blind, car.levels->begin() + 1);
+}
+
+Levels::const_iterator wanted(const Instance& car) {
+  const auto begin = car.levels->begin(), end = end_of_levels(car);
+  const auto now = std::find(begin, end, car.car);
+  const double share = double(car.importance) * double(nodes(**begin));
+  if (now != end && share < double(nodes(**now)) && share >= reluctance * double(nodes(**now))) return now;
+  const auto found = std::find_if(begin, end, [&](const auto& level) { return double(nodes(*level)) <= share; });
+  return found != end ? found : end - 1;
 }
 
 // Of two of one size, between which there is no map, the one with the lower hash.
@@ -60,14 +68,17 @@ void add_asset(World& world, std::shared_ptr<const Car> car) {
 
 size_t coarser_levels(const World& world, const std::string& asset) { return world.assets.at(asset).size() - 1; }
 
-Ahead look_ahead(const World& world, const Instance& car, bool woken) {
+void look_ahead(const World& world, Instance& car, bool woken) {
+  car.ahead = Ahead::nothing;
   const bool held = car.body.touching && !car.body.settled;
-  if (held || (world.budget == 0 && car.levels->size() == 1)) return Ahead::nothing;
-  const auto met = [&](const auto& how) {
-    return how(car.car->model, car.body, car.motion, car.mass, std::span<const Obstacle>(world.obstacles), notice);
-  };
-  if (woken || met(will_meet)) return Ahead::hit;
-  return met(may_meet) ? Ahead::neighbour : Ahead::nothing;
+  if (held || (world.budget == 0 && car.levels->size() == 1)) return;
+  const Encounter met = encounter(car.car->model, car.body, car.motion, car.mass, world.obstacles, notice);
+  car.width = met.width;
+  if (woken || met.hit) {
+    car.ahead = Ahead::hit;
+  } else if (met.near) {
+    car.ahead = Ahead::neighbour;
+  }
 }
 
 std::vector<Instance*> choose_levels(const World& world, const std::vector<Instance*>& cars) {
@@ -96,12 +107,12 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
       }
       continue;
     }
-    const auto level = std::find(car.levels->begin(), car.levels->end(), wanted(car));
+    const auto level = wanted(car);
     choices.push_back({&car, i, level, car.ahead == Ahead::hit ? crash_work(world, car, **level) : 0});
     left -= choices.back().work;
   }
   for (Choice& choice : choices) {
-    if (world.budget > 0 && choice.work > 0 && choice.level + 1 != choice.car->levels->end()) heap.push_back(&choice);
+    if (world.budget > 0 && choice.work > 0 && choice.level + 1 != end_of_levels(*choice.car)) heap.push_back(&choice);
   }
   const auto later = [&](const Choice* a, const Choice* b) { return next(*a, *b); };
   std::make_heap(heap.begin(), heap.end(), later);
@@ -111,7 +122,7 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
     left += choice.work;
     choice.work = crash_work(world, *choice.car, **++choice.level);
     left -= choice.work;
-    if (choice.level + 1 != choice.car->levels->end()) {
+    if (choice.level + 1 != end_of_levels(*choice.car)) {
       std::push_heap(heap.begin(), heap.end(), later);
     } else {
       heap.pop_back();
@@ -123,7 +134,8 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
     Instance& car = *choice.car;
     const auto &from = car.car, &to = *choice.level;
     // Not to and fro where the budget has just room: each change loses some of the dents.
-    const bool worth_it = nodes(*to) < nodes(*from) || world.budget == 0 || (car.ahead == Ahead::hit && room);
+    const bool blind = from->mean_edge > car.width;
+    const bool worth_it = nodes(*to) < nodes(*from) || blind || world.budget == 0 || (car.ahead == Ahead::hit && room);
     if (to == from || !worth_it) continue;
     car.next_level = to;
     changing.push_back(&car);

@@ -52,6 +52,7 @@ struct Instance {
   // Of one tick.
   std::optional<Intent> intent;  // the latest; consumed
   Ahead ahead = Ahead::nothing;
+  float width = 0;                        // of the narrowest obstacle that is near, m
   std::shared_ptr<const Car> next_level;  // that it comes to; null: it stays
   bool changed = false;                   // it came to another
   uint64_t order = 0;                     // among the cars of the scene, by their ids
@@ -130,7 +131,7 @@ Host* find_or_add_host(World&, const std::string& id);
 // Drops a host that has nothing left.
 void release_host(World&, const std::string& id);
 // What comes near the car, so that it may change its level; woken: in this very tick (levels.cpp).
-Ahead look_ahead(const World&, const Instance&, bool woken);
+void look_ahead(const World&, Instance&, bool woken);
 // Those that change their level now: to the one that the importance asks for, or a coarser one that the budget has room for.
 std::vector<Instance*> choose_levels(const World&, const std::vector<Instance*>&);
 void change_level(const World&, Instance&, Worker&);

@@ -104,7 +104,7 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
   const bool woken =
       world.budget > 0 && car.body.settled &&
       wakes(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body, car.motion);
-  car.ahead = look_ahead(world, car, woken);
+  look_ahead(world, car, woken);
   if (!car.body.settled && car.response.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
   } else {

@@ -187,6 +187,18 @@ TEST(Levels, ChooseTheFinestThatHasNoMoreThanTheShareOfNodes) {
   EXPECT_EQ(scene.nodes(), nodes(1)) << "none is finer than the asset that was asked for";
 }
 
+// Poles as wide as the middle level's edges are long, and narrower than any: neither importance nor a budget makes it coarser.
+TEST(Levels, AreNoCoarserThanWhatIsNearIsWide) {
+  ASSERT_LT(level(1)->mean_edge, level(2)->mean_edge);
+  for (const auto& [width, which] : std::vector<std::pair<float, int>>{{level(1)->mean_edge, 1}, {0.05f, 0}, {2, 2}}) {
+    Scene scene;
+    scene.spawn();
+    const Thing pole{1, schema::Shape::capsule, {0.5f * width, 2, 0}, pose_at(2.3 + 3, 0, 1)};
+    scene.step({{"host/game/obstacles", host::obstacles(++scene.sequence, {pole})}, scene.pose(0.1f, 12), budget_message(1)});
+    EXPECT_EQ(scene.nodes(), nodes(which)) << width << " m";
+  }
+}
+
 TEST(Levels, ChangeAtMostOnceASecondAndDoNotFlapAboutAThreshold) {
   Scene scene;
   scene.spawn();

@@ -73,6 +73,24 @@ TEST(Obstacle, TheHullOfABoxsCornersIsTheBox) {
   }
 }
 
+TEST(Obstacle, IsAsWideAsTheGapBetweenNodesThatItNeeds) {
+  Obstacle post, plate, pole, ball, ground, hull;
+  make_box({2, 0.1f, 0.05f}, post);
+  make_box({0.01f, 5, 3}, plate);
+  make_capsule(0.15f, 2, pole);
+  make_sphere(0.5f, ball);
+  make_half_space(ground);
+  std::vector<Vec3> corners;
+  for (int k = 0; k < 8; ++k) corners.emplace_back(k & 1 ? 3.f : 1.f, k & 2 ? 0.2f : 0.f, k & 4 ? 0.1f : 0.f);
+  ASSERT_EQ(make_hull(corners, hull), std::nullopt);
+  EXPECT_FLOAT_EQ(post.width, 0.2f);
+  EXPECT_FLOAT_EQ(plate.width, 6);
+  EXPECT_FLOAT_EQ(pole.width, 0.3f);
+  EXPECT_FLOAT_EQ(ball.width, 1);
+  EXPECT_TRUE(std::isinf(ground.width));
+  EXPECT_FLOAT_EQ(hull.width, 0.2f);
+}
+
 TEST(Obstacle, AFlatHullIsRefusedWithASentenceAndLeavesTheObstacleAlone) {
   Obstacle obstacle;
   make_sphere(1, obstacle);
@@ -117,7 +135,7 @@ TEST(Contacts, WhateverComesNearIsACandidate) {
     for (const Candidates& one : found) {
       for (uint32_t node : one.node) near[node] = 1;
     }
-    EXPECT_EQ(may_meet(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds), !found.empty());
+    EXPECT_EQ(encounter(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds).near, !found.empty());
     passed_over += found.empty();
     for (int k = 0; k <= 32; ++k) {
       const double t = seconds * k / 32;
@@ -144,7 +162,7 @@ TEST(Contacts, WhatIsDrivenAtIsMetAndWhatIsPassedByIsNot) {
     box.pose.position = at;
     box.velocity.x() = driven;
     crash.motion.velocity = velocity;
-    return will_meet(crash.model, crash.body, crash.motion, crash.mass, {&box, 1}, 0.5);
+    return encounter(crash.model, crash.body, crash.motion, crash.mass, {&box, 1}, 0.5).hit;
   };
   const double nose = crash.front;
   const Vec3 wall(0.5f, 5, 5), rail(50, 0.1f, 1), pole(0.05f, 0.05f, 2);

@@ -12,7 +12,7 @@ Relative relative(const Pose& car, const Pose& obstacle) {
 
 namespace {
 
-// In will_meet: the way between two looks, m, less than half a car is long, and how many looks at most.
+// In encounter(): the way between two looks, m, less than half a car is long, and how many looks at most.
 constexpr float look_travel = 1, most_looks = 32;
 
 // A car and an obstacle that may meet: seen from the obstacle at the start, the farthest that a point of the car moves against
@@ -85,32 +85,30 @@ bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& nod
 
 }  // namespace
 
-bool may_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass, std::span<const Obstacle> obstacles,
-              double seconds) {
+Encounter encounter(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
+                    std::span<const Obstacle> obstacles, double seconds) {
   const Reach reach(model, body, motion, mass, seconds);
-  return std::any_of(obstacles.begin(), obstacles.end(), [&](const Obstacle& obstacle) {
-    if (reach.excludes(obstacle)) return false;
-    const auto found = approach(model, body, motion, mass, obstacle, seconds);
-    return found &&
-           std::any_of(body.node.begin(), body.node.end(), [&](const Vec3& node) { return is_near(obstacle, *found, node); });
-  });
-}
-
-bool will_meet(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
-               std::span<const Obstacle> obstacles, double seconds) {
-  const Reach reach(model, body, motion, mass, seconds);
-  return std::any_of(obstacles.begin(), obstacles.end(), [&](const Obstacle& obstacle) {
-    if (reach.excludes(obstacle)) return false;
-    const auto found = approach(model, body, motion, mass, obstacle, seconds);
-    if (!found || found->travel < contact_margin) return false;
-    const int steps = int(std::min(most_looks, 1 + found->travel / look_travel));
-    for (int k = 1; k <= steps; ++k) {
-      const double time = seconds * k / steps;
+  const auto meets = [&](const Obstacle& obstacle, float travel) {
+    if (travel < contact_margin) return false;
+    const int looks = int(std::min(most_looks, 1 + travel / look_travel));
+    for (int k = 1; k <= looks; ++k) {
+      const double time = seconds * k / looks;
       const Pose there = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, time);
       if (!beyond(obstacle, relative(advance(motion, mass, time), there), body, 0)) return true;
     }
     return false;
-  });
+  };
+  Encounter out;
+  for (const Obstacle& obstacle : obstacles) {
+    if (reach.excludes(obstacle)) continue;
+    const auto found = approach(model, body, motion, mass, obstacle, seconds);
+    const auto near = [&](const Vec3& node) { return is_near(obstacle, *found, node); };
+    if (!found || std::none_of(body.node.begin(), body.node.end(), near)) continue;
+    out.near = true;
+    out.width = std::min(out.width, obstacle.width);
+    out.hit = out.hit || meets(obstacle, found->travel);
+  }
+  return out;
 }
 
 void find_candidates(const Model& model, const Body& body, const Motion& motion, const Mass& mass,

@@ -3,6 +3,7 @@
 // the end, keeps it on the side it came from: however thin the obstacle and however fast, it cannot be passed.
 #pragma once
 
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -42,13 +43,15 @@ struct Candidates {
   std::vector<uint32_t> node;
 };
 
-// Whether a node can meet an obstacle within so many seconds, if all move on steadily.
-bool may_meet(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
-
-// Whether the box around the body meets an obstacle within so many seconds, if all move on steadily, and move at all: not what
-// it passes by, drives along or stands beside. Seen at moments a metre apart, so not what is thinner than the car and crosses
-// it sideways in between.
-bool will_meet(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
+// What a car meets, if it and all obstacles move on steadily.
+struct Encounter {
+  bool near = false;  // a node may meet one
+  // The box around the body meets one, and they move at all: not what it passes by, drives along or stands beside. Seen at
+  // moments a metre apart, so not what is thinner than the car and crosses it sideways in between.
+  bool hit = false;
+  float width = std::numeric_limits<float>::infinity();  // of the narrowest one near, m
+};
+Encounter encounter(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
 
 // The choice of candidates, once a tick, from the car's and the obstacles' steady motions. An obstacle that comes may push the
 // car on into another one within the tick: nodes are candidates of all as far away as any of them moves against the car.

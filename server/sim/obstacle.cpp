@@ -5,6 +5,11 @@
 #include <limits>
 
 namespace crumple {
+namespace {
+
+float middle_of(const Vec3& sides) { return sides.sum() - sides.minCoeff() - sides.maxCoeff(); }
+
+}  // namespace
 
 void make_box(const Vec3& half_extents, Obstacle& obstacle) {
   obstacle.faces.clear();
@@ -14,6 +19,7 @@ void make_box(const Vec3& half_extents, Obstacle& obstacle) {
     }
   }
   obstacle.reach = half_extents.norm();
+  obstacle.width = 2 * middle_of(half_extents);
 }
 
 void make_sphere(float radius, Obstacle& obstacle) { make_capsule(radius, 0, obstacle); }
@@ -23,11 +29,12 @@ void make_capsule(float radius, float half_length, Obstacle& obstacle) {
   obstacle.radius = radius;
   obstacle.half_length = half_length;
   obstacle.reach = radius + half_length;
+  obstacle.width = 2 * radius;
 }
 
 void make_half_space(Obstacle& obstacle) {
   obstacle.faces.assign(1, {Vec3::UnitZ(), 0});
-  obstacle.reach = std::numeric_limits<float>::infinity();
+  obstacle.reach = obstacle.width = std::numeric_limits<float>::infinity();
 }
 
 std::optional<std::string> make_hull(std::span<const Vec3> points, Obstacle& obstacle) {
@@ -36,7 +43,12 @@ std::optional<std::string> make_hull(std::span<const Vec3> points, Obstacle& obs
     return "a hull has " + std::to_string(count) + " points; 4 to " + std::to_string(hull_point_limit) + " are allowed";
   }
   float reach = 0;
-  for (const Vec3& point : points) reach = std::max(reach, point.norm());
+  Vec3 low = points[0], high = points[0];
+  for (const Vec3& point : points) {
+    reach = std::max(reach, point.norm());
+    low = low.cwiseMin(point);
+    high = high.cwiseMax(point);
+  }
   const float tolerance = 1e-5f * reach;
   std::vector<Plane> faces;
   const auto add_face = [&](Vec3 normal, const Vec3& through) {
@@ -68,6 +80,7 @@ std::optional<std::string> make_hull(std::span<const Vec3> points, Obstacle& obs
   if (faces.size() < 4 || thickness < 1e-3f) return std::string("the points of a hull span no volume (under 1 mm thick)");
   obstacle.faces = std::move(faces);
   obstacle.reach = reach;
+  obstacle.width = middle_of(high - low);
   return std::nullopt;
 }
 

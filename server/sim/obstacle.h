@@ -33,6 +33,8 @@ struct Obstacle {
   float radius = 0;
   // Bounding sphere about the local origin, m; infinite for a half-space.
   float reach = 0;
+  // Across the longest side, m: nodes that are farther apart pass it on either side. Infinite for a half-space.
+  float width = 0;
   float friction = 0.3f;                                       // Coulomb
   Pose pose;                                                   // at the start of the tick
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();          // of pose.position, m/s, world
