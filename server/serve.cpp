@@ -34,7 +34,7 @@ using Clock = std::chrono::steady_clock;
 constexpr size_t inbox_limit = 20'000;
 constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars have 200 kB
 // Queries wait in line, and a tick lets in as many as this pays for. A keyframe is copied and packed: some 20 us. A command may
-// copy a whole body (spawn, save, load), a query for an asset copies 4 MiB: some ms at 50,000 nodes.
+// copy a whole body (spawn, save, load), a query for an asset copies 256 KiB: some ms at 50,000 nodes.
 constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;

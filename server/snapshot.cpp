@@ -140,7 +140,8 @@ void check(const World& world) {
   if (obstacles != world.obstacles.size()) refuse("hosts have not as many obstacles as they say");
   for (const Obstacle& obstacle : world.obstacles) {
     bool good = finite(obstacle.pose) && finite(obstacle.velocity) && finite(obstacle.angular_velocity);
-    good = good && not_negative(obstacle.half_length, obstacle.radius, obstacle.friction) && obstacle.reach >= 0 && obstacle.width >= 0;
+    good = good && not_negative(obstacle.half_length, obstacle.radius, obstacle.friction) && obstacle.reach >= 0 &&
+           obstacle.width >= 0;
     for (const Plane& face : obstacle.faces)
       good = good && std::abs(face.normal.norm() - 1) < 1e-3f && std::isfinite(face.offset);
     if (!good) refuse("an obstacle has a number that none can have");

@@ -25,7 +25,8 @@ constexpr std::chrono::seconds precedence{2};       // that another has to take 
 constexpr std::chrono::milliseconds settling{200};  // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
-constexpr uint32_t answer_ms = 30'000;                          // for a piece: 4 MiB over 1.2 Mb/s
+constexpr size_t world_piece = size_t{4} << 20;                 // bytes, below the limit of a message
+constexpr uint32_t answer_ms = 30'000;                          // for a piece: over 1.2 Mb/s
 // Of the owner.
 constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
 constexpr size_t snapshots_most = 4;
@@ -92,7 +93,7 @@ void take_world(Standby& standby, const NetEvent& event) {
     return give_up_fetching(standby, {reinterpret_cast<const char*>(event.data), std::min<size_t>(event.size, 500)});
   const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
   standby.pieces.insert(standby.pieces.end(), bytes, bytes + event.size);
-  if (event.size == asset_piece) return ask_for_world(standby, standby.pieces.size());
+  if (event.size == world_piece) return ask_for_world(standby, standby.pieces.size());
   try {
     load_world(standby.pieces, standby.world);
   } catch (const std::runtime_error& error) {
@@ -260,9 +261,9 @@ void WorldAnswers::answer(Net* net, const NetEvent& query, const World& world) {
   if (found == snapshots_.end() || offset > found->second.bytes.size()) return refuse("this snapshot of the world is gone");
   found->second.asked = now;
   const std::span rest = std::span(found->second.bytes).subspan(offset);
-  const auto piece = rest.first(std::min(rest.size(), asset_piece));
+  const auto piece = rest.first(std::min(rest.size(), world_piece));
   net_reply(net, query.ticket, piece.data(), piece.size(), 0);
-  if (piece.size() < asset_piece) snapshots_.erase(found);
+  if (piece.size() < world_piece) snapshots_.erase(found);
 }
 
 std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World& world, const std::atomic<bool>& stop) {

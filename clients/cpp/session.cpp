@@ -63,7 +63,7 @@ void forget_question(Crumple& session, FollowedCar& car) {
 void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
   const std::string key = "crumple/1/asset/" + hash;
   const uint64_t offset = asset.size;
-  const auto timeout = static_cast<uint32_t>(session.timeout.count());
+  const auto timeout = static_cast<uint32_t>(std::max(session.timeout, asset_patience).count());
   if (net_get(session.net, key.c_str(), &offset, sizeof offset, timeout, &asset.asking) != 0)
     asset.trouble = transport_error();
   else

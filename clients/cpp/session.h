@@ -31,9 +31,10 @@ inline constexpr uint32_t keyframe_ms = 3000;
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr double past_kept = 0.5;  // s of a car that is shown as it was
 inline constexpr size_t answers_kept = 256;
-// An asset comes in pieces of this size, so that none is above the limit of a message: the query's payload is the offset (8
-// bytes, little endian; none: 0); a shorter answer is the last.
-inline constexpr size_t asset_piece = size_t{4} << 20;
+// An asset comes in pieces of this size, so that a slow line brings each in time: the query's payload is the offset (8 bytes,
+// little endian; none: 0); a shorter answer is the last.
+inline constexpr size_t asset_piece = size_t{256} << 10;
+inline constexpr std::chrono::milliseconds asset_patience{10'000};  // for each, or the session's timeout if that is longer
 inline constexpr size_t asset_limit = size_t{256} << 20;
 
 // When messages of a tick come, less the tick's own time. The least of the last one or two seconds is nearest to the truth:
