@@ -426,15 +426,6 @@ double ServerClock::now() const {
   return std::chrono::duration<double>(Clock::now().time_since_epoch()).count() - std::min(least, before);
 }
 
-void remember(FollowedCar& car, double rate) {
-  const Surface& surface = car.surface;
-  std::deque<Past>& past = car.past;
-  if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
-  past.push_back({surface.tick, surface.quantum, surface.quanta});
-  // One that is older than that stays: it is what was until the next.
-  while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
-}
-
 bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.doubtful && car.alive); }
 
 void take(Crumple& session, const NetEvent& event) {

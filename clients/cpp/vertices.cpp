@@ -95,6 +95,15 @@ void write(const std::vector<float>& from, const CrumpleVertices& out, size_t co
 
 }  // namespace
 
+void crumple::client::remember(FollowedCar& car, double rate) {
+  const Surface& surface = car.surface;
+  std::deque<Past>& past = car.past;
+  if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
+  past.push_back({surface.tick, surface.quantum, surface.quanta});
+  // One that is older than that stays: it is what was until the next.
+  while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
+}
+
 int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
   const auto at = session->cars.find(id);
   if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");

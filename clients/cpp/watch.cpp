@@ -42,7 +42,10 @@ void print(Session& session, double bytes_per_second) {
 void write_surface(Session& session, const std::string& id, const std::string& path) {
   const CrumpleMesh mesh = session.mesh(session.surface(id).value().asset);
   std::vector<float> displacement(size_t{3} * mesh.vertex_count);
-  CrumpleVertices vertices{.displacement = displacement.data(), .stride = 3 * sizeof(float), .capacity = mesh.vertex_count};
+  CrumpleVertices vertices{};
+  vertices.displacement = displacement.data();
+  vertices.stride = 3 * sizeof(float);
+  vertices.capacity = mesh.vertex_count;
   const auto surface = session.surface(id);  // what has come meanwhile
   if (!surface || !session.copy(id, vertices)) throw Error("car " + id + " is not held any more: its server fell silent");
   write_obj(path, mesh.attribution, id, surface->tick, {mesh.vertex, displacement.size()}, displacement,
