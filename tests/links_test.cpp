@@ -141,21 +141,6 @@ TEST_F(Links, AViewerWhoseLinkWasCutIsCurrentSoonAfterItsReturn) {
   }
 }
 
-// In more time than a command may take.
-TEST_F(Links, ABakedCarComesOverASlowLine) {
-  start_server(path("slow.mcap"));
-  const double kbit = 8e-3 * double(std::filesystem::file_size(path("box.car"))) / 4;
-  ImpairedLink link(endpoint, {.delay = 10, .kbit = kbit});
-  Crumple* viewer = open_through(link);
-  ASSERT_NE(viewer, nullptr);
-  CrumpleMesh mesh;
-  int status = CRUMPLE_PENDING;
-  const auto begun = Clock::now();
-  EXPECT_TRUE(until(viewer, [&] { return (status = crumple_mesh(viewer, asset.c_str(), &mesh)) != CRUMPLE_PENDING; }));
-  EXPECT_EQ(status, CRUMPLE_OK) << crumple_error();
-  EXPECT_GT(milliseconds_since(begun), 2000) << "the line was not slow";
-}
-
 // Of a server that is heard, and whose answer was lost.
 TEST_F(Links, AKeyframeThatDoesNotComeIsAskedForAgain) {
   Net* opened = nullptr;

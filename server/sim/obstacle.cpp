@@ -7,7 +7,7 @@
 namespace crumple {
 namespace {
 
-float middle_of(const Vec3& sides) { return sides.sum() - sides.minCoeff() - sides.maxCoeff(); }
+float middle_of(const Vec3& v) { return std::max(std::min(v.x(), v.y()), std::min(std::max(v.x(), v.y()), v.z())); }
 
 }  // namespace
 
