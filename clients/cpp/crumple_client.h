@@ -60,7 +60,8 @@ double crumple_time(const Crumple*);
 
 // A session without `connect` has no network: it takes in what it is given here, for recordings, tests and other ways to carry
 // messages. key: the message's, which is its topic in a recording. A message that the session does not follow is passed over;
-// one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing.
+// one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing. A delta whose keyframe is not held counts as `asked` in
+// CrumpleStatistics: to be given the keyframe.
 int crumple_feed(Crumple*, const char* key, const void* bytes, size_t size);
 
 // ---- commands: each gives a ticket; its answer comes by crumple_poll
@@ -188,8 +189,8 @@ typedef struct CrumpleVertices {
   float* normal;        // of length 1: of the triangles around the vertex, weighted by their area
   size_t stride;        // bytes from one vertex to the next
   size_t capacity;      // vertices that there is room for
-  // 0: the newest that is held. Otherwise what was at that time, s, of the last half second; between two ticks the way from one
-  // to the other. crumple_time() - 0.1, the same for the poses, moves smoothly however unevenly messages come.
+  // 0 or less: the newest that is held. Otherwise what was at that time, s, of the last half second; between two ticks the way
+  // from one to the other. crumple_time() - 0.1, the same for the poses, moves smoothly however unevenly messages come.
   double time;
   // Set by crumple_copy: outside of these `count` vertices nothing is other than after the last crumple_copy of this car.
   uint32_t first, count;

@@ -19,7 +19,7 @@ float nodes_at(const FollowedCar& car, double tick, std::vector<float>& out) {
   const auto& past = car.past;
   const auto next =
       std::find_if(past.begin(), past.end(), [&](const Past& each) { return static_cast<double>(each.tick) >= tick; });
-  const bool between = tick != 0 && next != past.end();
+  const bool between = tick > 0 && next != past.end();
   const Quanta& to = between ? next->quanta : car.surface.quanta;
   out.assign(to.begin(), to.end());
   if (!between) return car.surface.quantum;
@@ -141,7 +141,7 @@ int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
   car.copied_asset = surface.asset;
   car.copied_quantum = quantum;
   car.copied.swap(session->node);
-  const bool newest = out->time == 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
+  const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
   car.dirty &= !newest;
   return CRUMPLE_OK;
 }
