@@ -111,7 +111,7 @@ std::string spoiled(Get get, size_t index, T value) {
 }
 
 TEST(Car, ChecksEveryList) {
-  constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+  constexpr float nan = std::numeric_limits<float>::quiet_NaN(), infinity = std::numeric_limits<float>::infinity();
   const auto refused = [](const std::string& why, const std::string& fact) {
     SCOPED_TRACE(fact);
     expect_sentence(why, "spoiled.car", fact);
@@ -128,17 +128,20 @@ TEST(Car, ChecksEveryList) {
   refused(spoiled<uint32_t>([](auto& m) { return m.tet; }, 2, 1u << 30), "tet names a node");
   refused(spoiled<float>([](auto& m) { return m.gradients; }, 3, nan), "gradients");
   refused(spoiled<float>([](auto& m) { return m.gradients; }, 3, 1e-3f), "gradients");
+  for (size_t k = 0; k < 9; ++k) refused(spoiled<float>([](auto& m) { return m.gradients; }, 9 * 4 + k, infinity), "gradients");
   refused(spoiled<float>([](auto& m) { return m.tet_rest; }, 3, 0), "rest volume");
   refused(spoiled<float>([](auto& m) { return m.tet_rest; }, 3, 0.7f), "rest volume");
+  refused(spoiled<float>([](auto& m) { return m.tet_rest; }, 3, infinity), "rest volume");
   refused(spoiled<uint32_t>([](auto& m) { return m.edge; }, 1, 99'999), "edge names a node");
   refused(spoiled<float>([](auto& m) { return m.edge_rest; }, 1, -0.0f), "rest length");
+  refused(spoiled<float>([](auto& m) { return m.edge_rest; }, 1, infinity), "rest length");
   refused(spoiled<uint32_t>([](auto& m) { return m.node_first; }, 1, UINT32_MAX), "tets around each node");
   refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 1, UINT32_MAX), "tets around each node");
   refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 5, 47), "tets around each node");  // another node's
   refused(spoiled<uint32_t>([](auto& m) { return m.triangle; }, 0, 12), "triangle");
   refused(spoiled<uint32_t>([](auto& m) { return m.skin; }, 1, 12), "vertex hangs");
   refused(spoiled<float>([](auto& m) { return m.skin; }, 4, 0.9f), "sum to 1");
-  refused(spoiled<float>([](auto& m) { return m.skin; }, 4, std::numeric_limits<float>::infinity()), "sum to 1");
+  refused(spoiled<float>([](auto& m) { return m.skin; }, 4, infinity), "sum to 1");
 }
 
 }  // namespace

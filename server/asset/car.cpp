@@ -144,10 +144,10 @@ bool rest_shapes_agree(const Model& model) {
       gradients.row(k) = model.gradients[t].corner[k].cast<double>();
     }
     const double rest = model.tet_rest[t], volume = edges.determinant() / 6;
-    bad |= !(rest >= smallest_volume) | !(std::abs(volume - rest) <= agreement * (rest + edges.colwise().norm().prod() / 6));
+    bad |= !(rest >= smallest_volume) | !(std::abs(volume - rest) <= agreement * edges.colwise().norm().prod() / 6);
     const Eigen::Matrix3d lengths = gradients.rowwise().norm() * edges.colwise().norm();
     const Eigen::Matrix3d error = gradients * edges - Eigen::Matrix3d::Identity();
-    bad |= !(error.cwiseAbs().array() <= agreement * (1 + lengths.array())).all();
+    bad |= !lengths.allFinite() | !(error.cwiseAbs().array() <= agreement * (1 + lengths.array())).all();
   }
   return !bad;
 }
@@ -157,7 +157,7 @@ bool edge_lengths_agree(const Model& model) {
   for (size_t e = 0; e < model.edge.size(); ++e) {
     const auto [a, b] = model.edge[e].node;
     const double rest = model.edge_rest[e], length = (model.node[b].cast<double>() - model.node[a].cast<double>()).norm();
-    bad |= !(std::abs(length - rest) <= agreement * length);
+    bad |= !(rest > 0) | !(std::abs(length - rest) <= agreement * length);
   }
   return !bad;
 }
@@ -185,7 +185,7 @@ void check(const Model& m, size_t regions, const std::string& name) {
   demand(tets_are_sound(m), "a tet names a node that does not exist or names one twice");
   demand(rest_shapes_agree(m), "a tet's rest volume or gradients do not agree with its nodes");
   demand(edges_are_sound(m), "an edge names a node that does not exist or its nodes are out of order");
-  demand(edge_lengths_agree(m), "an edge's rest length does not agree with its nodes");
+  demand(edge_lengths_agree(m), "an edge's rest length is not above zero or does not agree with its nodes");
   demand(corners_are_sound(m), "the list of the tets around each node does not agree with the tets");
   demand(below(m.triangle, static_cast<uint32_t>(m.vertex.size())), "a triangle names a vertex that does not exist");
   demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights are negative or do not sum to 1");
