@@ -29,13 +29,6 @@ struct Plan {
   int substeps, sweeps;  // the former in 1/60 s
 };
 
-// Sub-steps in a tick of `seconds`, for so many in 1/60 s.
-int count(int substeps, double seconds) {
-  Parameters parameters;
-  parameters.substeps = uint16_t(substeps);
-  return substep_count(parameters, seconds);
-}
-
 struct Share {
   Instance* car;
   size_t order;    // among equals
@@ -46,7 +39,7 @@ struct Share {
   double loss = 0;  // importance * m of residual per tet visit saved, of what is taken away next
 
   double work(const Plan& of) const {
-    return count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+    return substep_count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
   }
 };
 
@@ -58,7 +51,7 @@ int fewest_sweeps(const Instance& car, int substeps) {
 }
 
 bool may_halve(const Instance& car, int substeps, double seconds) {
-  if (substeps % 2 != 0 || count(substeps / 2, seconds) == count(substeps, seconds)) return false;
+  if (substeps % 2 != 0 || substep_count(substeps / 2, seconds) == substep_count(substeps, seconds)) return false;
   Parameters halved = car.parameters;
   halved.substeps = uint16_t(substeps / 2);
   return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
@@ -82,7 +75,8 @@ Share ask(const World& world, Instance& car, size_t order, double worst, double&
   const int most = car.parameters.iterations, substeps = car.parameters.substeps;
   const Response& last = car.response;
   const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
-  const double halved = last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / count(car.substeps, seconds) : 1;
+  const double halved =
+      last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
   Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), tets, tets};
   if (last.sweeps == 0) {
     share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
@@ -115,7 +109,7 @@ double work_of(const Model& model, const Response& response) {
 double crash_work(const World& world, const Instance& car, const Car& level) {
   const int sweeps = std::min<int>(car.parameters.iterations, usual);
   return double(level.model.tet.size()) *
-         (substep_count(car.parameters, 1 / world.rate) * (sweeps + substep_costs) + tick_costs);
+         (substep_count(car.parameters.substeps, 1 / world.rate) * (sweeps + substep_costs) + tick_costs);
 }
 
 void ration(World& world, const std::vector<Instance*>& cars) {

@@ -129,7 +129,7 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
     }
   }
   std::vector<Instance*> changing;
-  const bool room = world.budget == 0 || left >= spare * double(world.budget);
+  const bool room = left >= spare * double(world.budget);
   for (const Choice& choice : choices) {
     Instance& car = *choice.car;
     const auto &from = car.car, &to = *choice.level;

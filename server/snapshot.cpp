@@ -210,20 +210,21 @@ uint64_t sum_of(std::span<const std::byte> bytes) { return XXH64(bytes.data(), b
 
 std::vector<std::byte> save_world(const World& of) {
   World& world = const_cast<World&>(of);  // the list of fields serves both directions; this one only reads
-  Writer file, all;
+  Writer file;
+  uint32_t version = format;
+  uint64_t cars = world.cars.size(), sum = 0;  // of all behind it
+  field(file, version, world.rate, world.quantum, sum);
+  const size_t begin = file.bytes.size();
   std::vector<std::string> assets = assets_of(world);
   file.resize(assets);
   for (std::string& asset : assets) field(file, asset);
   field(file, world);
-  uint64_t cars = world.cars.size();
   field(file, cars);
   Pristine pristine;
   for (auto& [id, car] : world.cars) save(file, id, car, pristine);
-  uint32_t version = format;
-  uint64_t sum = sum_of(file.bytes);
-  field(all, version, world.rate, world.quantum, sum);
-  all.raw(file.bytes.data(), file.bytes.size());
-  return std::move(all.bytes);
+  sum = sum_of(std::span(file.bytes).subspan(begin));
+  std::memcpy(&file.bytes[begin - sizeof sum], &sum, sizeof sum);
+  return std::move(file.bytes);
 }
 
 bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {

@@ -209,7 +209,7 @@ int substeps(const Parameters& parameters, const Mass& mass, std::span<const Obs
   double modulus = 0;
   for (const Material& material : parameters.region) modulus = std::max(modulus, double(material.young_modulus));
   const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / mass.mass);
-  const int count = substep_count(parameters, seconds);
+  const int count = substep_count(parameters.substeps, seconds);
   int times = 1;
   for (int k = 0; k < halvings; ++k) {
     const double h = seconds / (count * times) / coarseness(parameters);

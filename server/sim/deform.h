@@ -18,7 +18,8 @@ namespace crumple {
 // halvings times, while in one of them the car would meet an obstacle by more than substep_travel (m; an edge of a 10,000-node
 // car), or contacts would turn its motion by more than substep_turn radians (their force is stepped explicitly). Who asks for
 // fewer sub-steps than the default asks for as much more of both: on a mesh whose edges are longer it costs little accuracy.
-inline double substep_seconds(const Parameters& parameters) { return 1.0 / (60.0 * parameters.substeps); }
+inline double substep_seconds(int substeps) { return 1.0 / (60.0 * substeps); }
+inline double substep_seconds(const Parameters& parameters) { return substep_seconds(parameters.substeps); }
 inline double coarseness(const Parameters& parameters) {
   return std::max(1.0, double(Parameters{}.substeps) / double(parameters.substeps));
 }
@@ -64,9 +65,9 @@ Response deform(const Model&, const Parameters&, const Mass&, std::span<const Ob
 bool wakes(const Model&, const Parameters&, const Mass&, std::span<const Obstacle>, double seconds, Scratch&, const Body&,
            Motion);
 
-// Sub-steps of a tick, before they are halved.
-inline int substep_count(const Parameters& parameters, double seconds) {
-  return std::max(1, int(std::lround(seconds / substep_seconds(parameters))));
+// Sub-steps of a tick, for so many in 1/60 s; before they are halved.
+inline int substep_count(int substeps, double seconds) {
+  return std::max(1, int(std::lround(seconds / substep_seconds(substeps))));
 }
 
 // Surface vertices in the car's frame. vertex: as many as the model's.
