@@ -39,7 +39,9 @@ typedef struct CrumpleOptions {
   const char* network;  // JSON5 of zenoh's own configuration, laid over ours: TLS, user, password; NULL or "": none
 } CrumpleOptions;
 
-// Waits until the server of the scene is seen, at most timeout_ms.
+// Waits until the server of the scene is seen, at most timeout_ms. The first over TLS sets ZENOH_RUNTIME in the environment, if
+// nobody has (zenoh breaks such a link otherwise): no other thread may read the environment meanwhile, and it must be the first
+// session of the process.
 int crumple_open(const CrumpleOptions*, Crumple** out);
 void crumple_close(Crumple*);
 

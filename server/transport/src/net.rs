@@ -96,6 +96,9 @@ pub struct Net {
 impl Net {
     pub fn open(mode: &str, listen: &[&str], connect: &[&str], overlay: Option<&str>, timeout_ms: u32) -> Result<Net, Fail> {
         let config = config::build(mode, listen, connect, overlay, timeout_ms)?;
+        if listen.iter().chain(connect).any(|endpoint| endpoint.starts_with("tls/")) {
+            one_thread_for_tls();
+        }
         let session = zenoh::open(config).wait().map_err(|e| {
             let (verb, ends, remedy) = match mode {
                 "client" => ("connect to", connect, "is a server running there?"),
@@ -251,6 +254,19 @@ impl Net {
     fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
         self.shared.asks.push(ask, bytes).map_err(refusal)
     }
+}
+
+/// zenoh 1.10 lets one thread read a TLS stream while another writes to it, and the stream has no lock (zenoh's issue 2557):
+/// with traffic both ways the link breaks ("handshake not complete": every tenth short session of tests/operate_test.cpp). On
+/// one thread they take turns. zenoh reads this once, before the process's first session; what the user has set stands.
+fn one_thread_for_tls() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        if std::env::var_os("ZENOH_RUNTIME").is_none() {
+            // SAFETY: as with setenv, no other thread may read the environment in this moment: crumple_client.h says so.
+            unsafe { std::env::set_var("ZENOH_RUNTIME", "(rx: (worker_threads: 1), tx: (handover: rx))") };
+        }
+    });
 }
 
 fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, Fail> {
