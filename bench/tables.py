@@ -167,7 +167,7 @@ def beyond(runs):
         flow, contacts = (best(runs("nodal_6", car, 1, f)) for f in ("flow_ms", "contacts_ms"))
         rows.append([*car, f"{tets:,.0f}", f"{tets + runs.fact('load', car, 'edges'):,.0f}",
                      number(classic_ns(runs, car, False)),
-                     number(classic_ns(runs, car, True)), number(sweep * 1e6 / tets), number(flow * 1e6 / tets),
+                     number(classic_ns(runs, car, True)), number(sweep * 1e6 / tets if sweep > 0 else None), number(flow * 1e6 / tets),
                      number(contacts * 1e3), number(best(runs("tick", car))), number(best(runs("delta", car)) * 1e3),
                      f"{runs.fact('delta', car, 'bytes'):,.0f}", number(best(runs("keyframe", car)) * 1e3)])
     head = ["surface", "nodes", "tets", "constraints", "classic, ns per constraint, first iteration", "a further one",
