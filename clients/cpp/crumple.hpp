@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdint>
+#include <fstream>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <span>
@@ -30,10 +32,10 @@ inline int need(int status) {
 
 // Of CrumpleOptions.
 struct SessionOptions {
-  std::string connect = "tcp/127.0.0.1:7447";
+  std::string connect = "tcp/127.0.0.1:7447";  // empty: no network, all comes by crumple_feed
   std::string scene = "main";
-  std::string host;     // empty: a viewer only
-  std::string network;  // empty: none
+  std::string host{};     // empty: a viewer only
+  std::string network{};  // empty: none
   std::chrono::milliseconds timeout{2000};
 };
 
@@ -42,7 +44,7 @@ class Session {
   explicit Session(const SessionOptions& options) : timeout_(options.timeout) {
     const CrumpleOptions open{CRUMPLE_CLIENT_VERSION,
                               uint32_t(options.timeout.count()),
-                              options.connect.c_str(),
+                              options.connect.empty() ? nullptr : options.connect.c_str(),
                               options.scene.c_str(),
                               options.host.empty() ? nullptr : options.host.c_str(),
                               options.network.c_str()};
@@ -98,6 +100,15 @@ class Session {
   }
 
   // Host.
+  // Takes a baked car from its file, so that it need not come from the server. Returns its name for spawn().
+  std::string add_asset(const std::string& path) {
+    std::ifstream file(path, std::ios::binary);
+    const std::string bytes{std::istreambuf_iterator<char>(file), {}};
+    if (!file) throw Error(path + ": cannot be read: give the file that `crumple bake` wrote");
+    char hash[17];
+    need(crumple_add_asset(*this, bytes.data(), bytes.size(), hash));
+    return hash;
+  }
   void publish(double time, std::span<const CrumpleCarPose> poses) {
     need(crumple_publish_poses(*this, time, poses.data(), poses.size()));
   }
@@ -135,6 +146,8 @@ class Session {
     return mesh;
   }
 
+  // The server's now, s; 0 while it is not known.
+  double time() const { return crumple_time(*this); }
   // Nothing until the first of the session, which comes within a second.
   std::optional<CrumpleHealth> health() const {
     CrumpleHealth health;
