@@ -1,0 +1,45 @@
+"""The conformance table through the Python package; run.py says what it reads and prints."""
+
+import json
+import pathlib
+import sys
+
+from crumple._library import Error, check, ffi, lib
+from crumple.session import View
+
+
+def begin():
+    view = View(scene=ffi.new("char[]", b"main"))
+    check(lib.crumple_follow(view._handle, b"a", 0))
+    return view
+
+
+def take(view, path):
+    before, count = view.surface("a"), view.statistics()
+    data = path.read_bytes()
+    key = f"crumple/1/main/car/a/{'key' if path.suffix == '.keyframe' else 'delta'}/0"
+    try:
+        check(lib.crumple_feed(view._handle, key.encode(), data, len(data)))
+    except Error:
+        return "refused"
+    now, counted = view.surface("a"), view.statistics()
+    if counted.older > count.older:
+        return "old"
+    if counted.asked > count.asked:
+        return "missing keyframe"
+    return "part" if (now and now.tick) == (before and before.tick) else "applied"
+
+
+view = begin()
+for line in sys.stdin:
+    if not line.strip():
+        view.close()
+        view = begin()
+        continue
+    said = {"outcome": take(view, pathlib.Path(line.strip()))}
+    if surface := view.surface("a"):
+        numbers = surface.quanta.ravel().tolist()
+        said |= {"tick": surface.tick, "hash": f"{surface.hash:016x}", "nodes": len(surface.quanta),
+                 "quantum_um": round(1e6 * surface.quantum), "sum": sum(numbers),
+                 "moment": sum(k * each for k, each in enumerate(numbers))}
+    print(json.dumps(said))
