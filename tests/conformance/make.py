@@ -137,29 +137,41 @@ with crumple.Recording(HERE.parents[1] / "recordings/built_in_roof_drop.mcap") a
     told = {f"{kind}{tick}": data for kind in ("key", "delta") for tick, _, data in recording.messages(f"car/car/{kind}/0")}
 
 
-def held_after(tick, key=None):
-    """The surface of a recorded tick, whose hash the server stated."""
-    message = DeltaT.InitFromPackedBuf(told[f"delta{tick}"]) if key else KeyframeT.InitFromPackedBuf(told[f"key{tick}"])
+# Two keyframes in a row with two deltas each.
+groups = [[tick] for tick in sorted(int(name[3:]) for name in told if name.startswith("key"))]
+for group in groups:
+    group += [tick for name, data in told.items() if name.startswith("delta")
+              for tick in [int(name[5:])] if DeltaT.InitFromPackedBuf(data).keyframe == group[0]]
+pair = next((one, two) for one, two in zip(groups[1:], groups[2:]) if len(one) > 2 and len(two) > 2)
+told = {name: told[f"{name.split('_')[0]}{tick}"]
+        for group, names in zip(pair, (("key_a", "delta_a1", "delta_a2"), ("key_b", "delta_b1", "delta_b2")))
+        for name, tick in zip(names, group)}
+
+
+def held_after(name, key=None):
+    """The surface that a recorded message tells, whose hash the server stated."""
+    message = (DeltaT if key else KeyframeT).InitFromPackedBuf(told[name])
     numbers = unpack(message.packed, message.count)
     if key:
         assert message.keyframe == key.tick
         numbers = [signed(a + b) for a, b in zip(key.quanta, numbers)]
     held = Held(message.tick, numbers, key.quantum if key else message.quantum)
-    assert held.hash == message.hash and held.tick == tick
+    assert held.hash == message.hash
     return held
 
 
-ASSET = KeyframeT.InitFromPackedBuf(told["key19"]).asset
-a19 = held_after(19)
-a26, a27 = held_after(26, a19), held_after(27, a19)
-b29 = held_after(29)
-b32, b33 = held_after(32, b29), held_after(33, b29)
+ASSET = KeyframeT.InitFromPackedBuf(told["key_a"]).asset
+a = held_after("key_a")
+a1, a2 = held_after("delta_a1", a), held_after("delta_a2", a)
+b = held_after("key_b")
+b1, b2 = held_after("delta_b1", b), held_after("delta_b2", b)
 some = random.Random(1)
 wild = Held(5, [some.randint(-32768, 32767) for _ in range(3 * 40)], 0.0005)
+quiet = Held(7, wild.quanta[:21] + 99 * [9], 0.0005)
 wilder = Held(6, [some.choice((-32768, 32767)) for _ in range(3 * 40)], 0.0005)
 
 messages = {f"{name}.{'keyframe' if name.startswith('key') else 'delta'}": told[name]
-            for name in ("key19", "delta26", "delta27", "key29", "delta32", "delta33")}
+            for name in ("key_a", "delta_a1", "delta_a2", "key_b", "delta_b1", "delta_b2")}
 
 
 def made(name, data):
@@ -172,89 +184,91 @@ def cut(name, make, *bounds):
             for k, (first, end) in enumerate(zip(bounds, bounds[1:]))]
 
 
-nodes = len(a19.quanta) // 3
-key19_parts = cut("key19.keyframe", lambda first, count: keyframe(a19, first, count), 0, 100, 333, nodes)
-key29_parts = cut("key29.keyframe", lambda first, count: keyframe(b29, first, count), 0, 100, 333, nodes)
-delta26_parts = cut("delta26.delta", lambda first, count: delta(a26, a19, first, count), 0, 100, 333, nodes)
+nodes = len(a.quanta) // 3
+a_parts = cut("key_a.keyframe", lambda first, count: keyframe(a, first, count), 0, 100, 333, nodes)
+b_parts = cut("key_b.keyframe", lambda first, count: keyframe(b, first, count), 0, 100, 333, nodes)
+a1_parts = cut("delta_a1.delta", lambda first, count: delta(a1, a, first, count), 0, 100, 333, nodes)
+quiet_parts = cut("delta7_quiet.delta", lambda first, count: delta(quiet, wild, first, count), 0, 7, 23, 40)
 delta6_parts = cut("delta6_wild.delta", lambda first, count: delta(wilder, wild, first, count), 0, 7, 23, 40)
 
-words = [int(each) for each in DeltaT.InitFromPackedBuf(told["delta26"]).packed]
+words = [int(each) for each in DeltaT.InitFromPackedBuf(told["delta_a1"]).packed]
 number = next(k for k, word in enumerate(words) if word) + 1  # after the widths of the first block that has any
-damaged = bytearray(told["delta26"])
+damaged = bytearray(told["delta_a1"])
 damaged[damaged.find(struct.pack(f"<{len(words)}H", *words)) + 2 * number] ^= 1
-made("delta26_damaged.delta", bytes(damaged))
+made("delta_a1_damaged.delta", bytes(damaged))
 
 hostile = {
     "key_no_bytes.keyframe": b"",
-    "key_of_four_bytes.keyframe": told["key19"][:4],
-    "key_half.keyframe": told["key19"][: len(told["key19"]) // 2],
-    "key_without_its_end.keyframe": told["key19"][:-16],
-    "key_without_numbers.keyframe": keyframe(b29, packed=None),
-    "key_without_asset.keyframe": keyframe(b29, asset=None),
-    "key_asset_of_15.keyframe": keyframe(b29, asset=ASSET[:15]),
-    "key_quantum_0.keyframe": keyframe(b29, quantum=0.0),
-    "key_quantum_2.keyframe": keyframe(b29, quantum=2.0),
-    "key_quantum_nan.keyframe": keyframe(b29, quantum=math.nan),
-    "key_no_nodes.keyframe": keyframe(b29, nodeCount=0),
-    "key_too_many_nodes.keyframe": keyframe(b29, nodeCount=200_001),
-    "delta_half.delta": told["delta26"][: len(told["delta26"]) // 2],
-    "delta_older_than_its_keyframe.delta": delta(a26, a19, tick=18),
-    "delta_of_no_node.delta": delta(a26, a19, count=0, packed=[]),
-    "delta_beyond_the_last_node.delta": delta(a26, a19, first=nodes - 15, count=16, packed=[0]),
-    "delta_first_wraps.delta": delta(a26, a19, first=2**32 - 1, count=16, packed=[0]),
-    "delta_count_wraps.delta": delta(a26, a19, first=0, count=2**32 - 1, packed=[0]),
-    "delta_of_another_car.delta": delta(a26, a19, nodeCount=nodes + 1),
-    "delta_width_17.delta": delta(a26, a19, count=16, packed=[17] + 17 * [1]),
-    "delta_bit_15.delta": delta(a26, a19, count=16, packed=[0x8000]),
-    "delta_a_word_too_few.delta": delta(a26, a19, count=16, packed=[1]),
-    "delta_a_word_too_many.delta": delta(a26, a19, count=16, packed=[0, 0]),
-    "delta_a_block_too_few.delta": delta(a26, a19, count=17, packed=[0]),
-    "delta_old_and_wrong.delta": delta(a19, a19, tick=19, count=16, packed=[0x8000]),
+    "key_of_four_bytes.keyframe": told["key_a"][:4],
+    "key_half.keyframe": told["key_a"][: len(told["key_a"]) // 2],
+    "key_without_its_end.keyframe": told["key_a"][:-16],
+    "key_without_numbers.keyframe": keyframe(b, packed=None),
+    "key_without_asset.keyframe": keyframe(b, asset=None),
+    "key_asset_of_15.keyframe": keyframe(b, asset=ASSET[:15]),
+    "key_quantum_0.keyframe": keyframe(b, quantum=0.0),
+    "key_quantum_2.keyframe": keyframe(b, quantum=2.0),
+    "key_quantum_nan.keyframe": keyframe(b, quantum=math.nan),
+    "key_no_nodes.keyframe": keyframe(b, nodeCount=0),
+    "key_too_many_nodes.keyframe": keyframe(b, nodeCount=200_001),
+    "delta_half.delta": told["delta_a1"][: len(told["delta_a1"]) // 2],
+    "delta_older_than_its_keyframe.delta": delta(a1, a, tick=a.tick - 1),
+    "delta_of_no_node.delta": delta(a1, a, count=0, packed=[]),
+    "delta_beyond_the_last_node.delta": delta(a1, a, first=nodes - 15, count=16, packed=[0]),
+    "delta_first_wraps.delta": delta(a1, a, first=2**32 - 1, count=16, packed=[0]),
+    "delta_count_wraps.delta": delta(a1, a, first=0, count=2**32 - 1, packed=[0]),
+    "delta_of_another_car.delta": delta(a1, a, nodeCount=nodes + 1),
+    "delta_width_17.delta": delta(a1, a, count=16, packed=[17] + 17 * [1]),
+    "delta_bit_15.delta": delta(a1, a, count=16, packed=[0x8000]),
+    "delta_a_word_too_few.delta": delta(a1, a, count=16, packed=[1]),
+    "delta_a_word_too_many.delta": delta(a1, a, count=16, packed=[0, 0]),
+    "delta_a_block_too_few.delta": delta(a1, a, count=17, packed=[0]),
+    "delta_old_and_wrong.delta": delta(a, a, count=16, packed=[0x8000]),
 }
 for name, data in hostile.items():
     made(name, data)
 
-keyed = [("key19.keyframe", "applied", a19)]
+keyed = [("key_a.keyframe", "applied", a)]
 cases = {
     "deltas are against the keyframe, not against each other": keyed + [
-        ("delta26.delta", "applied", a26), ("delta27.delta", "applied", a27), ("delta27.delta", "old", a27)],
+        ("delta_a1.delta", "applied", a1), ("delta_a2.delta", "applied", a2), ("delta_a2.delta", "old", a2)],
     "what is older is dropped": keyed + [
-        ("delta27.delta", "applied", a27), ("delta26.delta", "old", a27), ("key19.keyframe", "old", a27)],
+        ("delta_a2.delta", "applied", a2), ("delta_a1.delta", "old", a2), ("key_a.keyframe", "old", a2)],
     "a delta before its keyframe asks for it": [
-        ("delta26.delta", "missing keyframe", None), *keyed, ("delta26.delta", "applied", a26)],
+        ("delta_a1.delta", "missing keyframe", None), *keyed, ("delta_a1.delta", "applied", a1)],
     "a delta against another keyframe asks for that": keyed + [
-        ("delta32.delta", "missing keyframe", a19), ("key29.keyframe", "applied", b29), ("delta32.delta", "applied", b32),
-        ("delta27.delta", "old", b32), (made("delta40_against_19.delta", delta(a27, a19, tick=40)), "old", b32),
-        ("delta33.delta", "applied", b33)],
+        ("delta_b1.delta", "missing keyframe", a), ("key_b.keyframe", "applied", b), ("delta_b1.delta", "applied", b1),
+        ("delta_a2.delta", "old", b1), (made("delta_late_against_a.delta", delta(a2, a, tick=b2.tick + 7)), "old", b1),
+        ("delta_b2.delta", "applied", b2)],
     "a keyframe in parts is whole with its last part, in any order": [
-        (key29_parts[2], "part", None), (key29_parts[0], "part", None), (key29_parts[0], "part", None),
-        (key29_parts[1], "applied", b29), ("delta32.delta", "applied", b32)],
+        (b_parts[2], "part", None), (b_parts[0], "part", None), (b_parts[0], "part", None),
+        (b_parts[1], "applied", b), ("delta_b1.delta", "applied", b1)],
     "a delta in parts is whole with its last part, in any order": [
         (made("key5_wild.keyframe", keyframe(wild)), "applied", wild), (delta6_parts[1], "part", wild),
         (delta6_parts[2], "part", wild), (delta6_parts[1], "part", wild), (delta6_parts[0], "applied", wilder)],
-    "a surface is whole when its hash is met, though a part in which nothing moved is missing": keyed + [
-        (delta26_parts[1], "part", a19), (delta26_parts[2], "applied", a26), (delta26_parts[0], "old", a26)],
+    "a surface is whole when its hash is met, though a part in which nothing moved is missing": [
+        ("key5_wild.keyframe", "applied", wild), (quiet_parts[1], "part", wild), (quiet_parts[2], "applied", quiet),
+        (quiet_parts[0], "old", quiet)],
     "parts of an older keyframe do not disturb those of a newer": [
-        (key19_parts[0], "part", None), (key29_parts[0], "part", None), (key19_parts[1], "old", None),
-        (key29_parts[1], "part", None), (key29_parts[2], "applied", b29)],
+        (a_parts[0], "part", None), (b_parts[0], "part", None), (a_parts[1], "old", None),
+        (b_parts[1], "part", None), (b_parts[2], "applied", b)],
     "a whole delta makes parts of an older one old": keyed + [
-        (delta26_parts[0], "part", a19), ("delta27.delta", "applied", a27), (delta26_parts[1], "old", a27),
-        (delta26_parts[2], "old", a27)],
+        (a1_parts[0], "part", a), ("delta_a2.delta", "applied", a2), (a1_parts[1], "old", a2),
+        (a1_parts[2], "old", a2)],
     "a keyframe of the tick that deltas gave is the base of what follows": keyed + [
-        (made("delta29_against_19.delta", delta(b29, a19)), "applied", b29), ("delta32.delta", "missing keyframe", b29),
-        ("key29.keyframe", "old", b29), ("delta32.delta", "applied", b32)],
+        (made("delta_b_against_a.delta", delta(b, a)), "applied", b), ("delta_b1.delta", "missing keyframe", b),
+        ("key_b.keyframe", "old", b), ("delta_b1.delta", "applied", b1)],
     "what is damaged is not shown": keyed + [
-        ("delta26_damaged.delta", "part", a19), ("delta26.delta", "applied", a26)],
+        ("delta_a1_damaged.delta", "part", a), ("delta_a1.delta", "applied", a1)],
     "numbers of 16 bits wrap": [
         ("key5_wild.keyframe", "applied", wild),
         (made("delta6_wild.delta", delta(wilder, wild)), "applied", wilder)],
     "a refused keyframe changes nothing": keyed + [
-        (name, "refused", a19) for name in hostile if name.startswith("key")] + [("key29.keyframe", "applied", b29)],
+        (name, "refused", a) for name in hostile if name.startswith("key")] + [("key_b.keyframe", "applied", b)],
     "a refused delta changes nothing": keyed + [
-        (name, "refused", a19) for name in hostile if name.startswith("delta")] + [("delta26.delta", "applied", a26)],
+        (name, "refused", a) for name in hostile if name.startswith("delta")] + [("delta_a1.delta", "applied", a1)],
     "a refused part leaves those that came": [
-        (key29_parts[0], "part", None), ("key_half.keyframe", "refused", None), (key29_parts[1], "part", None),
-        ("key_quantum_nan.keyframe", "refused", None), (key29_parts[2], "applied", b29)],
+        (b_parts[0], "part", None), ("key_half.keyframe", "refused", None), (b_parts[1], "part", None),
+        ("key_quantum_nan.keyframe", "refused", None), (b_parts[2], "applied", b)],
 }
 
 for old in (HERE / "messages").glob("*"):
