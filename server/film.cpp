@@ -97,18 +97,17 @@ void follow(Film& film, const RecordingReader::Item& item) {
 
 void show(const std::string& path, const ReplayOptions& options, Net* net, const std::atomic<bool>& stop) {
   Film film(path, net);
-  std::printf("%s: scene %s at %s, speed %g\n", path.c_str(), film.file.head().scene.c_str(), net_endpoint(net), options.speed);
-  std::fflush(stdout);
   const auto begun = Clock::now();
   std::optional<uint64_t> first;
   for (RecordingReader::Item item; !stop && film.file.next(item);) {
     if (!first) first = item.time_ns;
     const double at = 1e-9 * static_cast<double>(item.time_ns - std::min(item.time_ns, *first));
     follow(film, item);
+    // Obstacles stand until the next ones: also those of before.
     const bool shown = item.channel == Channel::reactions || item.channel == Channel::keyframe ||
-                       item.channel == Channel::delta || item.channel == Channel::health;
-    if (!shown || at < options.from) continue;
-    const double wait = (at - options.from) / options.speed;
+                       item.channel == Channel::delta || item.channel == Channel::health || item.channel == Channel::poses;
+    if (item.channel != Channel::obstacles && (!shown || at < options.from)) continue;
+    const double wait = std::max(0.0, at - options.from) / options.speed;
     answer_until(film, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(wait)), stop);
     net_put(net, (film.root + std::string(item.key)).c_str(), item.bytes.data(), item.bytes.size(), NET_DATA);
   }
@@ -116,16 +115,24 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
 
 }  // namespace
 
-void show_films(const ReplayOptions& options, const std::atomic<bool>& stop) {
-  Net* net = nullptr;
-  const char* network = options.network.empty() ? nullptr : options.network.c_str();
-  if (net_open("peer", options.listen.c_str(), nullptr, network, 0, &net) < 0) throw std::runtime_error(transport_error());
-  const std::unique_ptr<Net, void (*)(Net*)> close(net, net_close);
+void play_films(Net* net, const ReplayOptions& options, const std::atomic<bool>& stop) {
   net_queryable(net, "crumple/1/*/car/*/key/*", 1'000);
   net_queryable(net, "crumple/1/asset/*", 1'000);
   do
     for (const std::string& path : options.files) show(path, options, net, stop);
   while (options.loop && !stop);
+}
+
+void show_films(const ReplayOptions& options, const std::atomic<bool>& stop) {
+  Net* net = nullptr;
+  const char* network = options.network.empty() ? nullptr : options.network.c_str();
+  if (net_open("peer", options.listen.c_str(), nullptr, network, 0, &net) < 0) throw std::runtime_error(transport_error());
+  const std::unique_ptr<Net, void (*)(Net*)> close(net, net_close);
+  for (const std::string& path : options.files)
+    std::printf("%s: scene %s at %s, speed %g\n", path.c_str(), RecordingReader(path).head().scene.c_str(), net_endpoint(net),
+                options.speed);
+  std::fflush(stdout);
+  play_films(net, options, stop);
 }
 
 }  // namespace crumple

@@ -1,11 +1,15 @@
-// A recording played to viewers: its outputs at their times, and keyframes and assets for those who ask.
+// A recording played to viewers: at their times its outputs and where hosts had cars and obstacles, and keyframes and assets
+// for those who ask.
 #pragma once
 
 #include "replay.h"
+#include "transport/transport.h"
 
 namespace crumple {
 
 // Every file once, or for ever with options.loop. Throws std::runtime_error with one sentence.
 void show_films(const ReplayOptions&, const std::atomic<bool>& stop);
+// The same on a session that is open.
+void play_films(Net*, const ReplayOptions&, const std::atomic<bool>& stop);
 
 }  // namespace crumple
