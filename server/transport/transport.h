@@ -1,5 +1,5 @@
-// The C door to the only Rust of the project: zenoh sessions, MCAP files, a page for Prometheus. Nothing here knows what the
-// bytes mean.
+// The C door to the only Rust of the project: zenoh sessions, MCAP files, pages for Prometheus and for browsers. Nothing here
+// knows what the bytes mean.
 // Pull-based: no callback ever runs on the caller's side; no function but net_poll, net_open and net_close waits.
 // Functions that return int give 0, or a negative Status; transport_error() then has the sentence.
 #pragma once
@@ -109,6 +109,29 @@ int metrics_open(const char* address, Metrics** out);
 const char* metrics_address(const Metrics*);
 int metrics_set(Metrics*, const char* page);
 void metrics_close(Metrics*);
+
+// ---- pages for browsers ---------------------------------------------------------------------------------------------------
+
+typedef struct Web Web;
+
+// Listens on "HOST:PORT" (port 0: any free one) and answers GET with what web_page was given, and WebSockets at /live (up to
+// 256) with a state: bytes under keys. A message there is a batch of what was set since the last one, each key once and in the
+// order of setting:
+//   u16 size of the key, u32 size of the bytes, u32 ms since they were set, the key, the bytes     (little endian)
+// The browser answers each batch with an empty binary message; it gets the next ones while no more than 4 are unanswered, and
+// is let go when it answers nothing for 30 s. So one that is slow or frozen costs 4 batches, and finds the present when it goes
+// on. Pages of other sites are refused by Origin and, on loopback, by Host. Threads of its own do all that.
+int web_open(const char* address, Web** out);
+// "127.0.0.1:8080", resolved.
+const char* web_address(const Web*);
+// What is answered to GET path from now on.
+int web_page(Web*, const char* path, const char* media_type, const void* data, size_t size);
+int web_set(Web*, const char* key, const void* data, size_t size);
+// Whoever comes from now on gets nothing of what is set under keys that begin so; the others are not told.
+int web_forget(Web*, const char* prefix);
+// WebSockets that are open now.
+size_t web_browsers(const Web*);
+void web_close(Web*);
 
 // ---- recordings: MCAP 0.26 ------------------------------------------------------------------------------------------------
 

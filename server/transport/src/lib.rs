@@ -10,6 +10,7 @@ mod net;
 mod queue;
 mod reader;
 mod recorder;
+mod web;
 
 use fail::{BAD_ARGUMENT, Fail};
 use mcap::records::MessageHeader;
@@ -23,6 +24,7 @@ use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::ptr;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use web::Web;
 
 const OK: c_int = 0;
 
@@ -324,6 +326,67 @@ pub unsafe extern "C" fn metrics_set(metrics: *mut Metrics, page: *const c_char)
 pub unsafe extern "C" fn metrics_close(metrics: *mut Metrics) {
     if !metrics.is_null() {
         drop(unsafe { Box::from_raw(metrics) });
+    }
+}
+
+// ---- web ----
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_open(address: *const c_char, out: *mut *mut Web) -> c_int {
+    if out.is_null() {
+        return done(Err(missing("out")));
+    }
+    let open = || Web::open(unsafe { text(address, "address")? });
+    unsafe { give(open(), out) }
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_address(web: *const Web) -> *const c_char {
+    unsafe { web.as_ref() }.map_or(c"".as_ptr(), |web| web.address().as_ptr())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_page(
+    web: *mut Web,
+    path: *const c_char,
+    media_type: *const c_char,
+    data: *const c_void,
+    size: usize,
+) -> c_int {
+    let page = || unsafe {
+        borrow(web, "web")?.page(text(path, "path")?, text(media_type, "media_type")?, bytes(data, size, "data")?);
+        Ok(())
+    };
+    done(page())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_set(web: *mut Web, key: *const c_char, data: *const c_void, size: usize) -> c_int {
+    let set = || unsafe {
+        borrow(web, "web")?.set(text(key, "key")?, bytes(data, size, "data")?);
+        Ok(())
+    };
+    done(set())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_forget(web: *mut Web, prefix: *const c_char) -> c_int {
+    let forget = || unsafe {
+        borrow(web, "web")?.forget(text(prefix, "prefix")?);
+        Ok(())
+    };
+    done(forget())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_browsers(web: *const Web) -> usize {
+    unsafe { web.as_ref() }.map_or(0, Web::browsers)
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_close(web: *mut Web) {
+    if !web.is_null() {
+        drop(unsafe { Box::from_raw(web) });
     }
 }
 

@@ -1,0 +1,218 @@
+//! Pages over HTTP and one WebSocket, /live, for browsers. The owner sets what stands under a path and, apart from that, a state: bytes
+//! under keys. Every browser is brought up to the state again and again: it gets what was set since the last batch that it got, each
+//! key once, and the next batch when it has answered, so that a slow or frozen one costs no more than the batches it has not answered
+//! yet, and finds the present when it goes on. What a browser says beside that is not looked at.
+
+use crate::fail::{BAD_ARGUMENT, Fail, IO};
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use std::collections::{BTreeMap, HashMap};
+use std::ffi::CString;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+use tokio::net::TcpListener;
+use tokio::runtime::Runtime;
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+
+/// Batches that a browser may have unanswered: enough for 60 a second over a line of 60 ms there and back.
+const WINDOW: usize = 4;
+/// A batch waits so long for what else belongs to its tick.
+const GATHER: Duration = Duration::from_millis(4);
+/// A browser that answers nothing for so long is let go; its page comes back by itself when it can.
+const PATIENCE: Duration = Duration::from_secs(30);
+const MAX_BROWSERS: usize = 256;
+/// Of a message of a browser: answers are empty.
+const MAX_ANSWER: usize = 1024;
+
+struct Slot {
+    key: Box<str>,
+    data: Bytes,
+    since: Instant,
+}
+
+/// By the number of their setting, so that what is newer than a number is a range.
+#[derive(Default)]
+struct Slots {
+    last: u64,
+    slots: BTreeMap<u64, Slot>,
+    numbers: HashMap<Box<str>, u64>,
+}
+
+struct Page {
+    media_type: String,
+    data: Bytes,
+}
+
+struct Shared {
+    pages: Mutex<HashMap<String, Page>>,
+    state: Mutex<Slots>,
+    changed: watch::Sender<u64>, // the last number
+    browsers: AtomicUsize,
+    loopback: bool, // reached from this machine only
+}
+
+pub struct Web {
+    shared: Arc<Shared>,
+    address: CString,
+    runtime: Option<Runtime>,
+}
+
+impl Web {
+    pub fn open(address: &str) -> Result<Web, Fail> {
+        if !address.contains(':') {
+            return Err(Fail::new(BAD_ARGUMENT, format!("page at {address}: give HOST:PORT, such as 127.0.0.1:8080")));
+        }
+        let cannot = |e: std::io::Error| {
+            Fail::new(IO, format!("cannot serve a page at {address}: is the port free and the address this machine's? ({e})"))
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("web").enable_all().build();
+        let runtime = runtime.map_err(cannot)?;
+        let listener = runtime.block_on(TcpListener::bind(address)).map_err(cannot)?;
+        let local = listener.local_addr().map_err(cannot)?;
+        let shared = Arc::new(Shared {
+            pages: Mutex::default(),
+            state: Mutex::default(),
+            changed: watch::Sender::new(0),
+            browsers: AtomicUsize::new(0),
+            loopback: local.ip().is_loopback(),
+        });
+        let router = Router::new()
+            .route("/live", get(upgrade))
+            .fallback(get(page))
+            .layer(middleware::from_fn_with_state(shared.clone(), same_site))
+            .with_state(shared.clone());
+        runtime.spawn(async move { axum::serve(listener, router).await });
+        Ok(Web { shared, address: CString::new(local.to_string()).unwrap_or_default(), runtime: Some(runtime) })
+    }
+
+    pub fn address(&self) -> &CString {
+        &self.address
+    }
+
+    pub fn page(&self, path: &str, media_type: &str, data: &[u8]) {
+        let page = Page { media_type: media_type.to_string(), data: Bytes::copy_from_slice(data) };
+        self.shared.pages.lock().unwrap().insert(path.to_string(), page);
+    }
+
+    pub fn set(&self, key: &str, data: &[u8]) {
+        let slot = Slot { key: key.into(), data: Bytes::copy_from_slice(data), since: Instant::now() };
+        let mut state = self.shared.state.lock().unwrap();
+        state.last += 1;
+        let number = state.last;
+        if let Some(older) = state.numbers.insert(key.into(), number) {
+            state.slots.remove(&older);
+        }
+        state.slots.insert(number, slot);
+        drop(state);
+        self.shared.changed.send_replace(number);
+    }
+
+    pub fn forget(&self, prefix: &str) {
+        let mut state = self.shared.state.lock().unwrap();
+        state.numbers.retain(|key, _| !key.starts_with(prefix));
+        state.slots.retain(|_, slot| !slot.key.starts_with(prefix));
+    }
+
+    pub fn browsers(&self) -> usize {
+        self.shared.browsers.load(Relaxed)
+    }
+}
+
+impl Drop for Web {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+/// A page of another site may be in the same browser, and its name may lead here: neither is answered.
+async fn same_site(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
+    if is_same_site(request.headers(), shared.loopback) {
+        return next.run(request).await;
+    }
+    (StatusCode::FORBIDDEN, "only the page that is served here may ask here\n").into_response()
+}
+
+fn is_same_site(headers: &HeaderMap, loopback: bool) -> bool {
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    let host = text(header::HOST).unwrap_or_default();
+    let name = host.rsplit_once(':').map_or(host, |(name, port)| if port.ends_with(']') { host } else { name });
+    let own = ["localhost", "127.0.0.1", "[::1]"].contains(&name);
+    let same = |origin: &str| origin.split_once("://").is_some_and(|(_, from)| from == host);
+    (own || !loopback) && text(header::ORIGIN).is_none_or(same)
+}
+
+async fn page(State(shared): State<Arc<Shared>>, uri: Uri) -> Response {
+    match shared.pages.lock().unwrap().get(uri.path()) {
+        Some(page) => {
+            let head = [(header::CONTENT_TYPE, page.media_type.clone()), (header::CACHE_CONTROL, "no-cache".into())];
+            (head, page.data.clone()).into_response()
+        }
+        None => (StatusCode::NOT_FOUND, "not here (yet)\n").into_response(),
+    }
+}
+
+async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
+    if shared.browsers.load(Relaxed) >= MAX_BROWSERS {
+        return (StatusCode::SERVICE_UNAVAILABLE, "too many browsers watch here\n").into_response();
+    }
+    upgrade.max_message_size(MAX_ANSWER).on_upgrade(|socket| async move {
+        shared.browsers.fetch_add(1, Relaxed);
+        live(socket, &shared).await;
+        shared.browsers.fetch_sub(1, Relaxed);
+    })
+}
+
+/// Until the browser goes or is let go.
+async fn live(mut socket: WebSocket, shared: &Shared) {
+    let mut changed = shared.changed.subscribe();
+    changed.mark_changed(); // all there is, at once
+    let (mut sent, mut unanswered) = (0, 0);
+    loop {
+        tokio::select! {
+            came = changed.changed(), if unanswered < WINDOW => {
+                if came.is_err() {
+                    return;
+                }
+                sleep(GATHER).await;
+                changed.mark_unchanged();
+                let Some((batch, last)) = batch(&shared.state.lock().unwrap(), sent) else { continue };
+                if !matches!(timeout(PATIENCE, socket.send(Message::Binary(batch))).await, Ok(Ok(()))) {
+                    return;
+                }
+                sent = last;
+                unanswered += 1;
+            }
+            answer = socket.recv() => match answer {
+                Some(Ok(Message::Binary(_))) => unanswered = unanswered.saturating_sub(1),
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                _ => return,
+            },
+            _ = sleep(PATIENCE), if unanswered > 0 => return,
+        }
+    }
+}
+
+/// What was set after number `sent`, in that order, and the last number. transport.h says how it is laid out.
+fn batch(state: &Slots, sent: u64) -> Option<(Bytes, u64)> {
+    let slots = || state.slots.range(sent + 1..).map(|(_, slot)| slot);
+    let size = slots().map(|slot| 10 + slot.key.len() + slot.data.len()).sum();
+    let mut bytes = Vec::with_capacity(size);
+    for slot in slots() {
+        bytes.extend_from_slice(&(slot.key.len() as u16).to_le_bytes());
+        bytes.extend_from_slice(&(slot.data.len() as u32).to_le_bytes());
+        bytes.extend_from_slice(&(slot.since.elapsed().as_millis() as u32).to_le_bytes());
+        bytes.extend_from_slice(slot.key.as_bytes());
+        bytes.extend_from_slice(&slot.data);
+    }
+    (size > 0).then(|| (bytes.into(), state.last))
+}
