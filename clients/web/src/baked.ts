@@ -1,0 +1,89 @@
+// The baked car (schema/car.fbs) as a viewer needs it: its surface at rest, and the nodes that each vertex moves with.
+import { ByteBuffer } from "flatbuffers";
+import { Car } from "./crumple/schema/car.js";
+import { digits, hashOf } from "./decode.js";
+
+export interface BakedCar {
+  name: string;
+  /** Must be shown where the car is shown. */
+  attribution: string;
+  /** kg */
+  mass: number;
+  /** m, car's frame */
+  centerOfMass: [number, number, number];
+  /** Rest positions, 3 a vertex, m, car's frame. */
+  vertex: Float32Array;
+  /** 3 vertices each */
+  triangle: Uint32Array;
+  /** How many nodes the skin uses: what keyframes and deltas tell of, in this order. */
+  nodes: number;
+  /** Four nodes a vertex, as they are counted in keyframes and deltas, and their weights. */
+  node: Uint32Array;
+  weight: Float32Array;
+}
+
+/** asset: its hash, 16 digits. Throws an Error with a sentence where the bytes are not this car. */
+export function readCar(bytes: Uint8Array, asset: string): BakedCar {
+  const found = digits(hashOf(bytes));
+  if (found !== asset) throw new Error(`the bytes of asset ${asset} have the hash ${found}: ask again`);
+  const buffer = new ByteBuffer(bytes);
+  if (!Car.bufferHasIdentifier(buffer)) throw new Error(`asset ${asset} is not a baked car`);
+  const car = Car.getRootAsCar(buffer);
+  if (car.version() !== 1) throw new Error(`asset ${asset} is a baked car of version ${car.version()}; this reads version 1`);
+  const vertices = car.vertexLength(), nodes = car.nodeLength();
+  const words = (at: number, count: number) => bytes.slice(at, at + 4 * count).buffer;
+  const vertex = new Float32Array(words(car.vertex(0)!.bb_pos, 3 * vertices));
+  const triangle = car.triangleArray()!.slice();
+  const skin = words(car.skin(0)!.bb_pos, 8 * vertices);
+  if (car.skinLength() !== vertices || triangle.some((i) => i >= vertices))
+    throw new Error(`asset ${asset}: skin or triangles do not fit its vertices`);
+  const center = car.centerOfMass();
+  return {
+    name: car.name() ?? "", attribution: car.attribution() ?? "", mass: car.mass(),
+    centerOfMass: center ? [center.x(), center.y(), center.z()] : [0, 0, 0],
+    vertex, triangle, ...readSkin(new Uint32Array(skin), new Float32Array(skin), vertices, nodes),
+  };
+}
+
+// Nodes with a weight above 0 are numbered ascending, as keyframes and deltas have them. A vertex of `skin`: four nodes, four weights.
+function readSkin(skinNode: Uint32Array, skinWeight: Float32Array, vertices: number, nodes: number) {
+  const number = new Int32Array(nodes).fill(-1);
+  const node = new Uint32Array(4 * vertices), weight = new Float32Array(4 * vertices);
+  const corner = (v: number, k: number) => ({ at: skinNode[8 * v + k], share: skinWeight[8 * v + 4 + k] });
+  for (let v = 0; v < vertices; ++v)
+    for (let k = 0; k < 4; ++k) {
+      const { at, share } = corner(v, k);
+      if (at >= nodes) throw new Error("the skin of the asset names nodes that it does not have");
+      if (share > 0) number[at] = 0;
+    }
+  let used = 0;
+  for (let i = 0; i < nodes; ++i) if (number[i] === 0) number[i] = used++;
+  for (let v = 0; v < vertices; ++v)
+    for (let k = 0; k < 4; ++k) {
+      const { at, share } = corner(v, k);
+      if (!(share > 0)) continue;
+      node[4 * v + k] = number[at];
+      weight[4 * v + k] = share;
+    }
+  return { nodes: used, node, weight };
+}
+
+/** Positions of the vertices, m, car's frame, into `out` (3 a vertex). False: the surface is not of this car. */
+export function skin(car: BakedCar, surface: { quanta: Int16Array; quantum: number }, out: Float32Array): boolean {
+  const { quanta, quantum } = surface;
+  if (quanta.length !== 3 * car.nodes) return false;
+  const { vertex, node, weight } = car;
+  for (let v = 0, k = 0; v < vertex.length; v += 3, k += 4) {
+    let x = 0, y = 0, z = 0;
+    for (let i = k; i < k + 4; ++i) {
+      const w = weight[i], n = 3 * node[i];
+      x += w * quanta[n];
+      y += w * quanta[n + 1];
+      z += w * quanta[n + 2];
+    }
+    out[v] = vertex[v] + quantum * x;
+    out[v + 1] = vertex[v + 1] + quantum * y;
+    out[v + 2] = vertex[v + 2] + quantum * z;
+  }
+  return true;
+}

@@ -1,0 +1,3 @@
+export * from "./decode.js";
+export * from "./baked.js";
+export * from "./live.js";

@@ -1,0 +1,525 @@
+// The page of `crumple view`: shows what Live holds. Draws only while something changes.
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import { Shape, type Pose } from "./decode.js";
+import { Live, type LiveCar } from "./live.js";
+import { CarMesh, obstacleGeometry } from "./three.js";
+
+// Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
+const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
+// Lightness falls all the way, so that they are read in any colour vision.
+const heat = ["#f1efe9", "#fac228", "#f57d15", "#d44842", "#9f2a63", "#65156e", "#280b53"].map((colour) => new THREE.Color(colour));
+const heatMost = 0.5; // m
+const gravity = 9.81;
+const arrowStays = 1500; // ms
+const panelPeriod = 250; // ms: text that changes faster is not read
+
+const element = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
+const canvas = element<HTMLCanvasElement>("canvas");
+const live = new Live(location.href);
+
+// ---- the scene ----
+
+THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
+const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+renderer.toneMapping = THREE.NeutralToneMapping;
+renderer.toneMappingExposure = 1.05;
+renderer.shadowMap.enabled = true;
+renderer.shadowMap.type = THREE.PCFShadowMap;
+const scene = new THREE.Scene();
+const horizon = new THREE.Color("#dfe4e8");
+scene.background = horizon;
+scene.fog = new THREE.Fog(horizon, 35, 110);
+const maker = new THREE.PMREMGenerator(renderer);
+scene.environment = maker.fromScene(new RoomEnvironment(), 0.03).texture;
+scene.environmentRotation.set(Math.PI / 2, 0, 0); // its up is y
+scene.environmentIntensity = 0.55;
+
+const camera = new THREE.PerspectiveCamera(32, 1, 0.3, 300);
+const controls = new OrbitControls(camera, canvas);
+controls.enableDamping = true;
+controls.dampingFactor = 0.12;
+controls.maxPolarAngle = 0.495 * Math.PI; // stays above the ground
+controls.minDistance = 2;
+controls.maxDistance = 90;
+
+const sun = new THREE.DirectionalLight("#fff6e8", 2.6);
+sun.castShadow = true;
+sun.shadow.mapSize.set(2048, 2048);
+Object.assign(sun.shadow.camera, { left: -11, right: 11, top: 11, bottom: -11, near: 1, far: 60 });
+sun.shadow.normalBias = 0.025;
+sun.shadow.radius = 3;
+const sunFrom = new THREE.Vector3(-9, -12, 18);
+scene.add(sun, sun.target);
+
+const ground = new THREE.Mesh(
+  new THREE.PlaneGeometry(600, 600),
+  new THREE.MeshLambertMaterial({ color: "#a7afb6" }),
+);
+ground.receiveShadow = true;
+const grid = new THREE.GridHelper(200, 200, "#5d6871", "#5d6871");
+grid.rotation.x = Math.PI / 2;
+grid.position.z = 0.01;
+(grid.material as THREE.Material).transparent = true;
+(grid.material as THREE.Material).opacity = 0.3;
+scene.add(ground, grid);
+
+function place(object: THREE.Object3D, pose: Pose): void {
+  object.position.set(...pose.position);
+  object.quaternion.set(...pose.orientation);
+}
+
+// ---- cars ----
+
+class ShownCar {
+  readonly group = new THREE.Group();
+  readonly arrow = makeArrow();
+  readonly label = document.createElement("div");
+  readonly row = document.createElement("button");
+  mesh: CarMesh | null = null;
+  #version = -1;
+  #painted = -1;
+  #extent = new THREE.Box3();
+
+  constructor(readonly car: LiveCar, readonly colour: string) {
+    for (const item of [this.label, this.row]) item.style.setProperty("--paint", colour);
+    this.label.className = "label";
+    this.label.textContent = car.id;
+    this.row.innerHTML = `<span class="dent"></span><span class="name"></span><small></small><small></small>`;
+    this.row.querySelector(".name")!.textContent = car.id;
+    this.row.onclick = () => follow(car.id);
+    element("labels").append(this.label);
+    element("cars").append(this.row);
+    scene.add(this.group, this.arrow);
+    this.group.visible = false;
+  }
+
+  remove(): void {
+    scene.remove(this.group, this.arrow);
+    this.mesh?.geometry.dispose();
+    this.mesh?.material.dispose();
+    this.label.remove();
+    this.row.remove();
+  }
+
+  update(now: number): void {
+    const { car } = this;
+    if (!this.mesh && car.baked) {
+      const material = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
+      this.mesh = new CarMesh(car.baked, material);
+      this.#extent.setFromBufferAttribute(new THREE.BufferAttribute(car.baked.vertex, 3));
+      this.group.add(this.mesh);
+    }
+    if (!this.mesh) return;
+    if (this.#version !== car.version && this.mesh.update(car.surface)) this.#version = car.version;
+    this.#paint(this.mesh);
+    // Whoever is told no pose stands at the origin, as it was spawned there more often than anywhere else.
+    if (car.pose) place(this.group, car.pose);
+    this.group.visible = true;
+    this.#point(now);
+  }
+
+  #paint(mesh: CarMesh): void {
+    const material = mesh.material as THREE.MeshStandardMaterial;
+    if (material.vertexColors !== heatOn) {
+      material.vertexColors = heatOn;
+      material.color.set(heatOn ? "#ffffff" : this.colour);
+      material.roughness = heatOn ? 0.7 : 0.3;
+      material.needsUpdate = true;
+      this.#painted = -1;
+    }
+    if (!heatOn || this.#painted === this.#version) return;
+    mesh.paint(heat, heatMost);
+    this.#painted = this.#version;
+  }
+
+  // The greatest impulse of the last hit, as the deceleration that it was: 4 cm for each g.
+  #point(now: number): void {
+    const { peak, peakAt } = this.car, fade = peak ? 1 - (now - peakAt) / arrowStays : 0;
+    this.arrow.visible = fade > 0;
+    if (!peak || fade <= 0) return;
+    const impulse = new THREE.Vector3(...peak.impulse), g = this.deceleration;
+    if (!(g > 0.5)) return void (this.arrow.visible = false);
+    const length = Math.min(0.5 + 0.04 * g, 4), along = impulse.normalize();
+    this.arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), along);
+    this.arrow.position.copy(this.center()).addScaledVector(along, -length);
+    stretch(this.arrow, length, Math.min(1, 2 * fade));
+  }
+
+  /** Of that tick of the last hit, in g. */
+  get deceleration(): number {
+    const { peak, baked } = this.car, rate = live.health?.rate || 60;
+    return peak && baked ? (Math.hypot(...peak.impulse) * rate) / baked.mass / gravity : 0;
+  }
+
+  center(): THREE.Vector3 {
+    return this.#extent.getCenter(new THREE.Vector3()).applyMatrix4(this.group.matrixWorld);
+  }
+  get radius(): number {
+    return this.mesh ? this.#extent.getSize(new THREE.Vector3()).length() / 2 : 2.5;
+  }
+  top(): THREE.Vector3 {
+    return this.center().add(new THREE.Vector3(0, 0, this.#extent.max.z - this.#extent.min.z));
+  }
+}
+
+function makeArrow(): THREE.Group {
+  const material = new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, depthTest: false });
+  const shaft = new THREE.Mesh(new THREE.CylinderGeometry(0.045, 0.045, 1, 16).rotateX(Math.PI / 2).translate(0, 0, 0.5), material);
+  const head = new THREE.Mesh(new THREE.ConeGeometry(0.14, 0.36, 24).rotateX(Math.PI / 2).translate(0, 0, -0.18), material);
+  const group = new THREE.Group().add(shaft, head);
+  group.renderOrder = shaft.renderOrder = head.renderOrder = 10;
+  group.visible = false;
+  return group;
+}
+
+function stretch(arrow: THREE.Group, length: number, opacity: number): void {
+  const [shaft, head] = arrow.children as THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>[];
+  shaft.scale.z = length - 0.36;
+  head.position.z = length;
+  shaft.material.opacity = opacity; // both have this one
+}
+
+const shown = new Map<string, ShownCar>();
+let hadCars = false;
+
+// The first that no car has, or that the fewest have.
+function freePaint(): string {
+  const uses = (paint: string) => [...shown.values()].filter(({ colour }) => colour === paint).length;
+  return paints.reduce((best, paint) => (uses(paint) < uses(best) ? paint : best));
+}
+
+function updateCars(now: number): void {
+  for (const [id, item] of shown)
+    if (live.cars.get(id) !== item.car) {
+      item.remove();
+      shown.delete(id);
+    }
+  for (const [id, car] of live.cars) {
+    if (!shown.has(id)) shown.set(id, new ShownCar(car, freePaint()));
+    hadCars = true;
+    shown.get(id)!.update(now);
+  }
+}
+
+// ---- obstacles ----
+
+const concrete = new THREE.MeshStandardMaterial({ color: "#b3aea4", roughness: 0.9 });
+const steel = new THREE.MeshStandardMaterial({ color: "#4d5358", roughness: 0.45, metalness: 0.6 });
+const ghost = new THREE.MeshBasicMaterial({ color: "#8c8778", transparent: true, opacity: 0.13, depthWrite: false });
+const edge = new THREE.LineBasicMaterial({ color: "#5b5f63" });
+const obstacles = new Map<string, { list: unknown; group: THREE.Group }>();
+
+function updateObstacles(now: number): boolean {
+  let moving = false;
+  for (const [host, item] of obstacles)
+    if (!live.obstacles.has(host)) {
+      scene.remove(item.group);
+      obstacles.delete(host);
+    }
+  for (const [host, { list, at }] of live.obstacles) {
+    let item = obstacles.get(host);
+    if (item?.list !== list) {
+      if (item) scene.remove(item.group);
+      item = { list, group: new THREE.Group() };
+      obstacles.set(host, item);
+      scene.add(item.group);
+      for (const obstacle of list) item.group.add(makeObstacle(obstacle));
+    }
+    list.forEach((obstacle, i) => {
+      const { pose, velocity, angularVelocity } = obstacle, object = item.group.children[i], seconds = (now - at) / 1000;
+      place(object, pose);
+      const turn = new THREE.Vector3(...angularVelocity);
+      if (velocity.every((v) => v === 0) && turn.lengthSq() === 0) return;
+      moving = true;
+      object.position.addScaledVector(new THREE.Vector3(...velocity), seconds);
+      const angle = turn.length() * seconds;
+      object.quaternion.premultiply(new THREE.Quaternion().setFromAxisAngle(turn.normalize(), angle));
+    });
+  }
+  return moving;
+}
+
+function makeObstacle(obstacle: Parameters<typeof obstacleGeometry>[0]): THREE.Object3D {
+  const geometry = obstacleGeometry(obstacle);
+  if (!geometry) {
+    if (obstacle.shape !== Shape.half_space) return new THREE.Group();
+    const plane = new THREE.GridHelper(40, 40, "#5b5f63", "#8b9096"); // its solid side is z <= 0
+    plane.geometry.rotateX(Math.PI / 2);
+    return plane;
+  }
+  const mesh = new THREE.Mesh(geometry, obstacle.shape === Shape.box || obstacle.shape === Shape.hull ? concrete : steel);
+  mesh.castShadow = mesh.receiveShadow = true;
+  if (mesh.material === concrete) mesh.add(new THREE.LineSegments(new THREE.EdgesGeometry(geometry, 20), edge));
+  mesh.userData.solid = mesh.material;
+  return mesh;
+}
+
+// What stands between the eye and a car is seen through.
+const ray = new THREE.Raycaster();
+function seeThrough(): void {
+  const meshes = [...obstacles.values()].flatMap(({ group }) => group.children).filter((object) => object instanceof THREE.Mesh);
+  for (const mesh of meshes) mesh.material = mesh.userData.solid;
+  for (const { mesh, center } of [...shown.values()].map((item) => ({ mesh: item.mesh, center: item.center() }))) {
+    if (!mesh) continue;
+    ray.set(camera.position, center.clone().sub(camera.position).normalize());
+    ray.far = center.distanceTo(camera.position);
+    for (const { object } of ray.intersectObjects(meshes, false)) (object as THREE.Mesh).material = ghost;
+  }
+  for (const mesh of meshes) mesh.castShadow = mesh.material !== ghost;
+}
+
+// ---- the view ----
+
+let followed = ""; // a car's id; "": what moves
+let heatOn = false;
+let framed = false; // the first car was put in the middle
+
+function follow(id: string): void {
+  followed = id;
+  framed = false;
+  wake();
+}
+
+/** What the view is about: its middle, and the radius of what should be seen; null: nothing new. */
+function subject(now: number): { center: THREE.Vector3; radius: number } | null {
+  const all = [...shown.values()].filter((item) => item.mesh);
+  const moving = (item: ShownCar) => Math.hypot(...item.car.velocity) > 0.3 || now - item.car.hitAt < 3000;
+  let cars = all.filter((item) => (followed ? item.car.id === followed : moving(item)));
+  if (!cars.length && !framed) cars = all;
+  if (!cars.length) return null;
+  const box = new THREE.Box3();
+  for (const item of cars) box.union(new THREE.Box3().setFromCenterAndSize(item.center(), new THREE.Vector3().setScalar(1.2 * item.radius)));
+  const sphere = box.getBoundingSphere(new THREE.Sphere());
+  return { center: sphere.center, radius: sphere.radius };
+}
+
+// From ahead, the right and above, so that the sphere takes no more than this share of the height.
+function look(center: THREE.Vector3, radius: number, share: number): void {
+  const distance = (1.18 * radius) / Math.tan((camera.fov * Math.PI) / 360) / share;
+  controls.target.copy(center);
+  camera.position.copy(center).addScaledVector(new THREE.Vector3(0.62, -0.86, 0.42).normalize(), Math.min(distance, 80));
+  camera.lookAt(center);
+  camera.updateMatrixWorld();
+}
+
+function light(): void {
+  sun.target.position.copy(controls.target);
+  sun.position.copy(controls.target).add(sunFrom);
+  sun.target.updateMatrixWorld();
+  sun.updateMatrixWorld();
+}
+
+// Goes along with it: turning and nearing stay the user's.
+let about: { center: THREE.Vector3; radius: number } | null = null;
+function updateView(now: number, seconds: number): boolean {
+  about = subject(now) ?? about; // also when it stands before the view has come there
+  if (!about) return false;
+  const step = about.center.clone().sub(controls.target);
+  if (!framed) {
+    const { width, height } = free();
+    look(about.center, about.radius, Math.min(width, height) / innerHeight);
+    framed = true;
+    return true;
+  }
+  if (step.length() < 0.002) return false;
+  if (step.length() < 8) step.multiplyScalar(1 - Math.exp(-6 * seconds)); // farther: it was put there
+  controls.target.add(step);
+  camera.position.add(step);
+  return true;
+}
+
+/** The part of the window that the panel leaves. */
+function free(): { width: number; height: number; left: number; top: number } {
+  const panel = element("panel").getBoundingClientRect();
+  const beside = innerWidth > 720;
+  return { left: 0, top: 0, width: beside ? panel.left : innerWidth, height: beside ? innerHeight : panel.top };
+}
+
+function resize(): void {
+  const { width, height } = free();
+  renderer.setSize(innerWidth, innerHeight, false);
+  camera.aspect = innerWidth / innerHeight;
+  // The middle of the picture is the middle of what is free.
+  camera.setViewOffset(innerWidth, innerHeight, (innerWidth - width) / 2, (innerHeight - height) / 2, innerWidth, innerHeight);
+  camera.updateProjectionMatrix();
+  wake();
+}
+
+function updateLabels(): void {
+  for (const item of shown.values()) {
+    const at = item.top().project(camera), seen = item.group.visible && at.z < 1;
+    item.label.hidden = !seen;
+    const x = ((at.x + 1) / 2) * innerWidth, y = ((1 - at.y) / 2) * innerHeight;
+    item.label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -100%)`;
+  }
+}
+
+// ---- the panel ----
+
+const round = (value: number, places = 0) => value.toFixed(places);
+
+function updatePanel(now: number): void {
+  const age = (at: number) => (at ? `${round(Math.max(0, now - at) / 1000, 1)} s ago` : "never");
+  const link = element("link");
+  const state = live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
+  link.textContent = state;
+  link.className = state === "live" ? "" : "lost";
+  element("hint").textContent = state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
+  for (const item of shown.values()) {
+    const { car } = item, [first, second] = item.row.querySelectorAll("small");
+    item.row.querySelector(".dent")!.textContent = item.mesh ? `${round(1000 * item.mesh.deepest)} mm` : "…";
+    const bits = car.bitsPerVertex ? `, ${round(car.bitsPerVertex, 1)} bits a vertex and frame` : "";
+    first.textContent = `${round(3.6 * Math.hypot(...car.velocity))} km/h${car.peak ? `, hit: ${round(item.deceleration)} g, ${round(car.absorbed / 1000)} kJ` : ""}`;
+    second.textContent = `told ${age(car.heardAt)}${bits}${car.refused ? `, ${car.refused} refused` : ""}`;
+    item.row.setAttribute("aria-pressed", String(followed === car.id));
+  }
+  updateServer(age);
+  const credits = new Set([...shown.values()].map((item) => item.car.baked?.attribution).filter(Boolean));
+  element("credits").textContent = [...credits, ...live.trouble.values()].join("; ");
+}
+
+function updateServer(age: (at: number) => string): void {
+  const { health } = live, server = element("server");
+  server.replaceChildren();
+  if (!health) return;
+  const add = <K extends keyof HTMLElementTagNameMap>(parent: HTMLElement, tag: K, text = "") => {
+    const child = parent.appendChild(document.createElement(tag));
+    child.textContent = text;
+    return child;
+  };
+  const period = 1000 / health.rate;
+  add(add(server, "h2", "Server"), "span", `${round(health.rate)} ticks a second`);
+  add(server, "small", `tick ${health.tick}, ${health.late} late, told ${age(live.healthAt)}`);
+  const table = add(server, "table");
+  const row = (name: string, mean: string, worst: string) => {
+    const cells = add(table, "tr"), first = add(cells, "td");
+    add(cells, "td", mean);
+    add(cells, "td", worst);
+    const bar = add(first, "i");
+    add(first, "span", name);
+    return bar;
+  };
+  row("ms a tick", "mean", "worst");
+  for (const room of [...health.rooms].sort((a, b) => b.mean - a.mean).slice(0, 8))
+    row(room.name, round(room.mean, 2), round(room.worst, 2)).style.width = `${Math.min(100, (100 * room.mean) / period)}%`;
+  const refused = health.refusals.reduce((sum, { value }) => sum + value, 0);
+  if (refused) add(server, "small", `${refused} messages refused`);
+}
+
+// ---- keys and buttons ----
+
+function press(id: string, action: () => void): void {
+  element(id).onclick = () => {
+    action();
+    wake();
+  };
+}
+press("heat", () => {
+  heatOn = !heatOn;
+  element("heat").setAttribute("aria-pressed", String(heatOn));
+  element("legend").hidden = !heatOn;
+});
+press("all", () => follow(""));
+press("fold", () => {
+  const details = element("details");
+  details.hidden = !details.hidden;
+  element("fold").setAttribute("aria-expanded", String(!details.hidden));
+  resize();
+});
+(element("legend").querySelector("i") as HTMLElement).style.background =
+  `linear-gradient(to right, ${heat.map((colour) => `#${colour.getHexString()}`).join(",")})`;
+
+const spherical = new THREE.Spherical(), upright = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 0, 1), new THREE.Vector3(0, 1, 0));
+function turn(azimuth: number, polar: number, nearer: number): void {
+  const away = camera.position.clone().sub(controls.target).applyQuaternion(upright);
+  spherical.setFromVector3(away);
+  spherical.theta += azimuth;
+  spherical.phi = Math.min(Math.max(spherical.phi + polar, 0.05), controls.maxPolarAngle);
+  spherical.radius = Math.min(Math.max(spherical.radius * nearer, controls.minDistance), controls.maxDistance);
+  camera.position.copy(controls.target).add(away.setFromSpherical(spherical).applyQuaternion(upright.clone().invert()));
+}
+const keys: Record<string, () => void> = {
+  ArrowLeft: () => turn(-0.1, 0, 1), ArrowRight: () => turn(0.1, 0, 1), ArrowUp: () => turn(0, -0.07, 1), ArrowDown: () => turn(0, 0.07, 1),
+  "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
+  c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
+};
+addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  const car = /^[1-9]$/.test(event.key) ? [...shown.keys()][Number(event.key) - 1] : undefined;
+  const action = car ? () => follow(car) : keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  if (!action) return;
+  event.preventDefault();
+  action();
+  wake();
+});
+
+// ---- the loop ----
+
+let awakeUntil = 0, drawnAt = 0, batches = -1, panelAt = 0, slow = 0;
+function wake(): void {
+  awakeUntil = performance.now() + 700; // as long as damping and arrows go on by themselves
+}
+
+// A machine that draws fewer than 25 pictures a second gets fewer pixels.
+function coarsen(period: number): void {
+  slow = period > 40 && period < 1000 ? slow + 1 : Math.max(0, slow - 1);
+  if (slow < 8 || renderer.getPixelRatio() < 0.6) return;
+  slow = 0;
+  renderer.setPixelRatio(0.75 * renderer.getPixelRatio());
+  resize();
+}
+
+function frame(now: number): void {
+  requestAnimationFrame(frame);
+  if (batches !== live.received.batches) wake();
+  batches = live.received.batches;
+  if (now - panelAt > panelPeriod) {
+    panelAt = now;
+    updatePanel(now);
+  }
+  if (now > awakeUntil) return;
+  const period = now - drawnAt, seconds = Math.min(1, period / 1000);
+  drawnAt = now;
+  coarsen(period);
+  updateCars(now);
+  if (updateObstacles(now)) wake();
+  scene.updateMatrixWorld();
+  if (updateView(now, seconds)) wake();
+  controls.update();
+  light();
+  camera.updateMatrixWorld();
+  seeThrough();
+  updateLabels();
+  renderer.render(scene, camera);
+}
+
+controls.addEventListener("change", wake);
+addEventListener("resize", resize);
+new ResizeObserver(resize).observe(element("panel"));
+resize();
+requestAnimationFrame(frame);
+
+/** A small PNG, base64: the first car from where a page begins to look at it. */
+function picture(): string {
+  camera.clearViewOffset();
+  camera.aspect = 16 / 9;
+  camera.updateProjectionMatrix();
+  renderer.setPixelRatio(1);
+  renderer.setSize(320, 180, false);
+  const [item] = shown.values();
+  item.update(Infinity);
+  scene.updateMatrixWorld();
+  look(item.center(), 0.7 * item.radius, 1);
+  light();
+  seeThrough();
+  renderer.render(scene, camera);
+  const [, png] = canvas.toDataURL().split(",");
+  resize();
+  return png;
+}
+
+// For tests and for whoever is curious at the console.
+Object.assign(window, { crumple: { live, shown, picture } });

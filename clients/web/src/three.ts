@@ -1,0 +1,151 @@
+// A car of crumple as an object of three.js: made once from the baked car, then brought up to its surface as often as that changes.
+// Its axes are the car's: x forward, y left, z up, metres.
+import * as THREE from "three";
+import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
+import { skin, type BakedCar } from "./baked.js";
+import { Shape, type Obstacle } from "./decode.js";
+
+/** Edges at rest sharper than this stay sharp: doors, windows, wheel arches. */
+const crease = Math.cos((32 * Math.PI) / 180);
+
+export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
+  /** Displaced vertices as the skin has them, and how far each has moved, m. */
+  readonly skinned: Float32Array;
+  readonly moved: Float32Array;
+  /** Of the vertex that moved most, m. */
+  deepest = 0;
+  #triangle: Uint32Array; // in corners: a vertex, once for each side of a crease
+  #vertexOf: Uint32Array; // of a corner
+
+  constructor(readonly baked: BakedCar, material: THREE.Material) {
+    const { triangle, vertexOf } = splitAtCreases(baked);
+    const geometry = new THREE.BufferGeometry();
+    const attribute = () => new THREE.BufferAttribute(new Float32Array(3 * vertexOf.length), 3).setUsage(THREE.DynamicDrawUsage);
+    geometry.setAttribute("position", attribute());
+    geometry.setAttribute("normal", attribute());
+    geometry.setAttribute("color", attribute());
+    geometry.setIndex(new THREE.BufferAttribute(triangle, 1));
+    super(geometry, material);
+    this.castShadow = this.receiveShadow = true;
+    this.frustumCulled = false; // its bounds would have to be found anew with every dent
+    this.#triangle = triangle;
+    this.#vertexOf = vertexOf;
+    this.skinned = new Float32Array(baked.vertex.length);
+    this.moved = new Float32Array(baked.vertex.length / 3);
+    this.update({ quanta: new Int16Array(3 * baked.nodes), quantum: 1 });
+  }
+
+  /** False: the surface is not of this car. Normals follow it; what is a crease was decided at rest. */
+  update(surface: { quanta: Int16Array; quantum: number }): boolean {
+    if (!skin(this.baked, surface, this.skinned)) return false;
+    const rest = this.baked.vertex, now = this.skinned;
+    this.deepest = 0;
+    for (let v = 0; v < this.moved.length; ++v) {
+      const x = now[3 * v] - rest[3 * v], y = now[3 * v + 1] - rest[3 * v + 1], z = now[3 * v + 2] - rest[3 * v + 2];
+      this.moved[v] = Math.sqrt(x * x + y * y + z * z);
+      this.deepest = Math.max(this.deepest, this.moved[v]);
+    }
+    const { position, normal } = this.geometry.attributes;
+    const at = position.array as Float32Array;
+    for (let c = 0; c < this.#vertexOf.length; ++c) {
+      const v = 3 * this.#vertexOf[c];
+      at[3 * c] = now[v];
+      at[3 * c + 1] = now[v + 1];
+      at[3 * c + 2] = now[v + 2];
+    }
+    sumNormals(at, this.#triangle, normal.array as Float32Array);
+    position.needsUpdate = normal.needsUpdate = true;
+    return true;
+  }
+
+  /** Vertex colours by how far each has moved: for a material with vertexColors. `most` m has the last colour. */
+  paint(colours: readonly THREE.Color[], most: number): void {
+    const { color } = this.geometry.attributes;
+    for (let c = 0; c < this.#vertexOf.length; ++c) {
+      const share = Math.min(1, this.moved[this.#vertexOf[c]] / most) * (colours.length - 1);
+      const i = Math.min(Math.floor(share), colours.length - 2);
+      mixed.lerpColors(colours[i], colours[i + 1], share - i);
+      color.setXYZ(c, mixed.r, mixed.g, mixed.b);
+    }
+    color.needsUpdate = true;
+  }
+}
+
+const mixed = new THREE.Color();
+
+// Normals of the corners, each the sum over its triangles by their area; the shader makes them unit vectors.
+function sumNormals(at: Float32Array, triangle: Uint32Array, normal: Float32Array): void {
+  normal.fill(0);
+  for (let t = 0; t < triangle.length; t += 3) {
+    const a = 3 * triangle[t], b = 3 * triangle[t + 1], c = 3 * triangle[t + 2];
+    const ux = at[b] - at[a], uy = at[b + 1] - at[a + 1], uz = at[b + 2] - at[a + 2];
+    const vx = at[c] - at[a], vy = at[c + 1] - at[a + 1], vz = at[c + 2] - at[a + 2];
+    const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+    normal[a] += x;
+    normal[a + 1] += y;
+    normal[a + 2] += z;
+    normal[b] += x;
+    normal[b + 1] += y;
+    normal[b + 2] += z;
+    normal[c] += x;
+    normal[c + 1] += y;
+    normal[c + 2] += z;
+  }
+}
+
+// A vertex becomes one corner for each smooth fan of triangles around it: triangles that share an edge of it at a small angle.
+function splitAtCreases(car: BakedCar): { triangle: Uint32Array<ArrayBuffer>; vertexOf: Uint32Array } {
+  const count = car.triangle.length / 3;
+  const faces = Array.from({ length: count }, (_, t) => faceNormal(car, t));
+  const around: number[][] = Array.from({ length: car.vertex.length / 3 }, () => []);
+  car.triangle.forEach((v, i) => around[v].push(i));
+  const triangle = new Uint32Array(car.triangle.length), vertexOf: number[] = [];
+  around.forEach((corners, v) => {
+    const fan = corners.map((_, i) => i); // union of those that are smooth; few a vertex
+    const root = (i: number): number => (fan[i] === i ? i : root(fan[i]));
+    for (let i = 0; i < corners.length; ++i)
+      for (let j = 0; j < i; ++j) {
+        const a = Math.floor(corners[i] / 3), b = Math.floor(corners[j] / 3);
+        if (faces[a].dot(faces[b]) > crease && shareEdge(car.triangle, a, b, v)) fan[root(i)] = root(j);
+      }
+    const corner = new Map<number, number>();
+    corners.forEach((at, i) => {
+      const own = root(i);
+      if (!corner.has(own)) corner.set(own, vertexOf.push(v) - 1);
+      triangle[at] = corner.get(own)!;
+    });
+  });
+  return { triangle, vertexOf: Uint32Array.from(vertexOf) };
+}
+
+function shareEdge(triangle: Uint32Array, a: number, b: number, besides: number): boolean {
+  for (let i = 3 * a; i < 3 * a + 3; ++i)
+    for (let j = 3 * b; j < 3 * b + 3; ++j) if (triangle[i] === triangle[j] && triangle[i] !== besides) return true;
+  return false;
+}
+
+function faceNormal(car: BakedCar, t: number): THREE.Vector3 {
+  const [a, b, c] = [0, 1, 2].map((k) => new THREE.Vector3().fromArray(car.vertex, 3 * car.triangle[3 * t + k]));
+  return b.sub(a).cross(c.sub(a)).normalize();
+}
+
+/** Of an obstacle, in its own frame; null for a half space, which has no end. */
+export function obstacleGeometry(obstacle: Obstacle): THREE.BufferGeometry | null {
+  const [x, y, z] = obstacle.size;
+  switch (obstacle.shape) {
+    case Shape.box:
+      return new THREE.BoxGeometry(2 * x, 2 * y, 2 * z);
+    case Shape.sphere:
+      return new THREE.SphereGeometry(x, 48, 24);
+    case Shape.capsule:
+      return new THREE.CapsuleGeometry(x, 2 * y, 12, 32).rotateX(Math.PI / 2); // three's axis is y
+    case Shape.hull:
+      return obstacle.points.length < 4 ? null : hull(obstacle.points);
+    default:
+      return null;
+  }
+}
+
+function hull(points: [number, number, number][]): THREE.BufferGeometry {
+  return new ConvexGeometry(points.map((point) => new THREE.Vector3(...point)));
+}
