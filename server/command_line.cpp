@@ -19,6 +19,7 @@
 #include "replay.h"
 #include "serve.h"
 #include "transport/transport.h"
+#include "view.h"
 
 namespace crumple {
 namespace {
@@ -206,6 +207,32 @@ Verb add_watch(CLI::App& app, client::WatchOptions& options) {
   return [&options] { return client::watch(options, stop); };
 }
 
+Verb add_view(CLI::App& app, ViewOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("view", "Shows a scene, or a recording, in browsers: a page with every car and its dents");
+  CLI::Option* file = verb.add_option("FILE", options.file, "a recording, played again and again; default: a server's scene")
+                          ->check(CLI::ExistingFile)
+                          ->type_name("FILE.mcap");
+  verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
+      ->needs(file)
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
+  verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->excludes(file)->capture_default_str();
+  verb.add_option("--listen", options.listen,
+                  "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
+                  "phone in the same network, and from whoever else is in it")
+      ->type_name("HOST:PORT")
+      ->capture_default_str();
+  verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
+  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb.footer("Examples: crumple view\n          crumple view today.mcap --speed 0.25");
+  return [&options] { return view(options, stop); };
+}
+
 Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
   verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
@@ -270,6 +297,7 @@ int run(int argc, const char* const* argv) {
   ServeOptions serve_options;
   client::DriveOptions drive_options;
   client::WatchOptions watch_options;
+  ViewOptions view_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
   RecoverOptions recover_options;
@@ -282,14 +310,14 @@ int run(int argc, const char* const* argv) {
       "A session, each line in its own terminal:\n"
       "  crumple bake built-in -o car.car\n"
       "  crumple serve --car car.car --record today.mcap\n"
-      "  crumple watch\n"
+      "  crumple view\n"
       "  crumple drive clients/scenes/pole.json --car car.car\n"
       "then: crumple replay today.mcap --verify\n"
       "Each verb explains itself: crumple VERB --help");
-  const std::vector<Verb> verbs = {add_bake(app, bake_options),       add_serve(app, serve_options),
-                                   add_drive(app, drive_options),     add_watch(app, watch_options),
-                                   add_replay(app, replay_options),   add_info(app, info_files),
-                                   add_recover(app, recover_options), add_export(app, export_options)};
+  const std::vector<Verb> verbs = {
+      add_bake(app, bake_options),   add_serve(app, serve_options),     add_drive(app, drive_options),
+      add_watch(app, watch_options), add_view(app, view_options),       add_replay(app, replay_options),
+      add_info(app, info_files),     add_recover(app, recover_options), add_export(app, export_options)};
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {  // --help, --version

@@ -1,0 +1,350 @@
+// What zenoh brings is passed on as it is; decided here is only what a browser needs so that the latest message under each key
+// tells all: deltas whose keyframe it has, reactions by car, and keyframes asked for where one is missing.
+#include "view.h"
+
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <exception>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <set>
+#include <span>
+#include <stdexcept>
+#include <thread>
+#include <utility>
+
+#include "answer.h"
+#include "film.h"
+#include "recording.h"
+#include "schema/message_generated.h"
+#include "transport/transport.h"
+
+namespace crumple {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr uint32_t connect_ms = 5'000, keyframe_ms = 3'000, asset_ms = 5'000;
+constexpr std::chrono::milliseconds ask_again{500};
+constexpr std::chrono::milliseconds hit_ends{1000};  // without a contact
+// What health says of a car that spoke so lately may still be on its way.
+constexpr std::chrono::milliseconds on_its_way{100};
+// Whoever may publish here can invent keys: so many are passed on.
+constexpr size_t car_limit = 4'096, host_limit = 256, asset_count_limit = 64;
+constexpr size_t asset_limit = size_t{256} << 20, sample_limit = size_t{1} << 20;  // bytes
+constexpr std::string_view asset_root = "crumple/1/asset/";
+
+struct WatchedCar {
+  uint64_t life = 0;                // so that browsers know it from the next of its id
+  uint64_t key_tick = 0, tick = 0;  // of the keyframe, and of the newest message, that were passed on
+  bool wanted = true;               // its keyframe
+  uint64_t asking = 0;              // ticket; 0: none
+  Clock::time_point asked{}, heard{};
+  float peak = 0;           // impulse of the last hit, N s: the greatest of a tick
+  Clock::time_point hit{};  // when the last contact was told
+};
+
+struct Fetched {
+  std::vector<uint8_t> bytes;
+  bool whole = false;
+  uint64_t asking = 0;
+  Clock::time_point asked{};
+};
+
+struct Gateway {
+  Net* net = nullptr;
+  Web* web = nullptr;
+  std::string root;
+  bool server = false;
+  uint64_t lives = 0;  // the last one; browsers stay when a gateway is started again, so it counts from the time
+  std::map<std::string, WatchedCar, std::less<>> cars;
+  std::map<std::string, Fetched, std::less<>> assets;  // by hash
+  std::set<std::string, std::less<>> hosts;
+  std::map<uint64_t, std::string> tickets;  // of questions: the id of a car, or the hash of an asset
+
+  ~Gateway() {
+    if (net) net_close(net);
+    web_close(web);
+  }
+};
+
+void need(int status) {
+  if (status < 0) throw std::runtime_error(transport_error());
+}
+
+template <class Table>
+const Table* verified(std::span<const uint8_t> bytes) {
+  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
+  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
+  return flatbuffers::GetRoot<Table>(bytes.data());
+}
+
+void set(Gateway& gateway, const std::string& key, std::span<const uint8_t> bytes) {
+  need(web_set(gateway.web, key.c_str(), bytes.data(), bytes.size()));
+}
+
+void tell_alive(Gateway& gateway) {
+  std::string lines = gateway.server ? "server\n" : "";
+  for (const auto& [id, car] : gateway.cars) lines += "car " + id + " " + std::to_string(car.life) + "\n";
+  set(gateway, "alive", {reinterpret_cast<const uint8_t*>(lines.data()), lines.size()});
+}
+
+void take_liveliness(Gateway& gateway, std::string_view key, bool alive) {
+  if (key == "server") {
+    gateway.server = alive;
+    gateway.hosts.clear();
+    need(web_forget(gateway.web, "host/"));
+  } else {
+    const std::string id(key.substr(4));
+    gateway.cars.erase(id);
+    need(web_forget(gateway.web, ("car/" + id + "/").c_str()));
+    if (alive && gateway.cars.size() < car_limit) gateway.cars[id].life = ++gateway.lives;
+  }
+  tell_alive(gateway);
+}
+
+void ask_for_piece(Gateway& gateway, const std::string& hash, Fetched& asset) {
+  const uint64_t offset = asset.bytes.size();
+  asset.asked = Clock::now();
+  if (net_get(gateway.net, (std::string(asset_root) + hash).c_str(), &offset, sizeof offset, asset_ms, &asset.asking) == 0)
+    gateway.tickets[asset.asking] = hash;
+}
+
+void want_asset(Gateway& gateway, const std::string& hash) {
+  if (gateway.assets.size() >= asset_count_limit && !gateway.assets.contains(hash)) return;
+  Fetched& asset = gateway.assets[hash];
+  if (asset.whole || asset.asking || Clock::now() - asset.asked < ask_again) return;
+  asset.bytes.clear();
+  ask_for_piece(gateway, hash, asset);
+}
+
+void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::span<const uint8_t> piece) {
+  asset.asking = 0;
+  if (asset.bytes.size() + piece.size() > asset_limit) return;
+  asset.bytes.insert(asset.bytes.end(), piece.begin(), piece.end());
+  if (piece.size() == asset_piece) return ask_for_piece(gateway, hash, asset);
+  char digits[17];
+  std::snprintf(digits, sizeof digits, "%016llx",
+                static_cast<unsigned long long>(XXH64(asset.bytes.data(), asset.bytes.size(), 0)));
+  asset.whole = hash == digits;
+  if (asset.whole)
+    need(web_page(gateway.web, ("/asset/" + hash).c_str(), "application/octet-stream", asset.bytes.data(), asset.bytes.size()));
+  else
+    std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
+  asset.bytes = {};
+}
+
+void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Keyframe>(bytes);
+  if (!message || message->tick() < car.key_tick) return;
+  car.key_tick = message->tick();
+  car.tick = std::max(car.tick, car.key_tick);
+  if (message->count() == message->node_count()) car.wanted = false;
+  const uint32_t first = message->first();
+  set(gateway, "car/" + id + "/key/0" + (first > 0 ? "/" + std::to_string(first) : ""), bytes);
+  if (message->asset()->size() == 16) want_asset(gateway, message->asset()->str());
+}
+
+void take_delta(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Delta>(bytes);
+  if (!message) return;
+  if (message->keyframe() > car.key_tick) car.wanted = true;
+  if (message->keyframe() != car.key_tick || message->tick() < car.tick) return;
+  car.tick = message->tick();
+  const uint32_t first = message->first();
+  set(gateway, "car/" + id + "/delta/0" + (first > 0 ? "/" + std::to_string(first) : ""), bytes);
+}
+
+// A message a car: of one with many cars, the next, with others, would replace it. The strongest of a hit is kept beside the
+// last: it says what the hit was, and is over before a slow browser looks.
+void take_reactions(Gateway& gateway, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Reactions>(bytes);
+  if (!message) return;
+  for (const auto* from : *message->cars()) {
+    const auto at = gateway.cars.find(from->car()->string_view());
+    if (at == gateway.cars.end()) continue;
+    auto& [id, car] = *at;
+    schema::ReactionsT one;
+    one.tick = message->tick();
+    one.time = message->time();
+    one.cars.emplace_back(from->UnPack());
+    flatbuffers::FlatBufferBuilder builder;
+    builder.Finish(schema::Reactions::Pack(builder, &one));
+    const std::span<const uint8_t> packed(builder.GetBufferPointer(), builder.GetSize());
+    set(gateway, "car/" + id + "/reactions", packed);
+    if (from->contacts() == 0) continue;
+    if (Clock::now() - std::exchange(car.hit, Clock::now()) > hit_ends) car.peak = 0;
+    const float impulse = std::hypot(from->impulse()->x(), from->impulse()->y(), from->impulse()->z());
+    if (impulse <= car.peak) continue;
+    car.peak = impulse;
+    set(gateway, "car/" + id + "/peak", packed);
+  }
+}
+
+void take_health(Gateway& gateway, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Health>(bytes);
+  if (!message) return;
+  set(gateway, "health", bytes);
+  if (!message->told()) return;
+  for (const auto* told : *message->told()) {
+    const auto at = gateway.cars.find(told->car()->string_view());
+    if (at == gateway.cars.end() || told->ticks()->size() == 0) continue;
+    WatchedCar& car = at->second;
+    if (car.tick < told->ticks()->Get(0) && Clock::now() - car.heard > on_its_way) car.wanted = true;
+  }
+}
+
+void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t> bytes) {
+  if (key == "health") return take_health(gateway, bytes);
+  const size_t slash = key.find('/', 5);
+  if (slash == key.npos) return;
+  const std::string_view who = key.substr(0, slash), what = key.substr(slash + 1);
+  if (who.starts_with("host/")) {
+    if (what == "reactions") return take_reactions(gateway, bytes);
+    if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(who))) return;
+    gateway.hosts.emplace(who);
+    return set(gateway, std::string(key), bytes);
+  }
+  const auto at = gateway.cars.find(who.substr(4));
+  if (at == gateway.cars.end()) return;  // its token brings it, and the question for its keyframe
+  at->second.heard = Clock::now();
+  if (what == "key/0")
+    take_keyframe(gateway, at->first, at->second, bytes);
+  else
+    take_delta(gateway, at->first, at->second, bytes);
+}
+
+void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t> bytes) {
+  const auto at = gateway.tickets.find(event.ticket);
+  if (at == gateway.tickets.end()) return;
+  const std::string name = at->second;
+  const bool end = event.kind == NET_REPLY_END;
+  if (end) gateway.tickets.erase(at);
+  if (const auto asset = gateway.assets.find(name); asset != gateway.assets.end() && asset->second.asking == event.ticket) {
+    if (end || event.failed)
+      asset->second.asking = 0;
+    else
+      take_piece(gateway, name, asset->second, bytes);
+  } else if (const auto car = gateway.cars.find(name); car != gateway.cars.end() && car->second.asking == event.ticket) {
+    if (end)
+      car->second.asking = 0;
+    else if (!event.failed)
+      take_keyframe(gateway, name, car->second, bytes);
+  }
+}
+
+void take(Gateway& gateway, const NetEvent& event) {
+  const std::span<const uint8_t> bytes(event.data, event.size);
+  if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) return take_reply(gateway, event, bytes);
+  std::string_view key = event.key ? event.key : "";
+  if (!key.starts_with(gateway.root)) return;
+  key.remove_prefix(gateway.root.size());
+  if (event.kind == NET_SAMPLE)
+    take_sample(gateway, key, bytes);
+  else if (key == "server" || key.starts_with("car/"))
+    take_liveliness(gateway, key, event.kind == NET_ALIVE);
+}
+
+void ask(Gateway& gateway) {
+  const auto now = Clock::now();
+  for (auto& [id, car] : gateway.cars) {
+    if (!car.wanted || car.asking || now - car.asked < ask_again) continue;
+    car.asked = now;
+    if (net_get(gateway.net, (gateway.root + "car/" + id + "/key/0").c_str(), nullptr, 0, keyframe_ms, &car.asking) == 0)
+      gateway.tickets[car.asking] = id;
+  }
+}
+
+void run(Gateway& gateway, double seconds, const std::atomic<bool>& stop) {
+  const auto begun = Clock::now();
+  NetEvent events[64];
+  while (!stop && !(seconds > 0 && std::chrono::duration<double>(Clock::now() - begun).count() > seconds)) {
+    const int got = net_poll(gateway.net, events, 64, 50'000);
+    need(got);
+    for (int i = 0; i < got; ++i) take(gateway, events[i]);
+    ask(gateway);
+  }
+}
+
+std::string read_page(std::string path) {
+  if (path.empty()) path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "web" / "index.html";
+  std::ifstream file(path, std::ios::binary);
+  const std::string page{std::istreambuf_iterator<char>(file), {}};
+  if (!file || page.empty())
+    throw std::runtime_error(path +
+                             ": the page is not there: `server/setup web` makes it in build/web; --page FILE names another");
+  return page;
+}
+
+bool is_public(std::string_view address) {
+  return !address.starts_with("127.") && !address.starts_with("localhost:") && !address.starts_with("[::1]");
+}
+
+// A server of its own for a recording.
+struct Player {
+  Net* net = nullptr;
+  std::atomic<bool> stop{false};
+  std::thread thread;
+
+  void start(const ViewOptions& options) {
+    need(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &net));
+    thread = std::thread([this, &options] {
+      try {
+        ReplayOptions replay;
+        replay.files = {options.file};
+        replay.speed = options.speed;
+        replay.loop = true;
+        play_films(net, replay, stop);
+      } catch (const std::exception& error) {
+        std::fprintf(stderr, "crumple view: %s\n", error.what());
+      }
+    });
+  }
+  ~Player() {
+    stop = true;
+    if (thread.joinable()) thread.join();
+    if (net) net_close(net);
+  }
+};
+
+}  // namespace
+
+int view(const ViewOptions& options, const std::atomic<bool>& stop) {
+  const std::string page = read_page(options.page);
+  Player player;
+  Gateway gateway;
+  gateway.lives = static_cast<uint64_t>(std::chrono::system_clock::now().time_since_epoch() / std::chrono::microseconds(1));
+  std::string scene = options.scene, connect = options.connect;
+  if (!options.file.empty()) {
+    scene = RecordingReader(options.file).head().scene;
+    player.start(options);
+    connect = net_endpoint(player.net);
+  }
+  gateway.root = "crumple/1/" + scene + "/";
+  need(web_open(options.listen.c_str(), &gateway.web));
+  need(web_page(gateway.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
+  tell_alive(gateway);
+  const char* network = options.network.empty() ? nullptr : options.network.c_str();
+  need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
+  for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
+    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096));
+  for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
+    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 0));
+  for (const char* key : {"server", "car/*"}) need(net_watch(gateway.net, (gateway.root + key).c_str()));
+  const std::string address = web_address(gateway.web);
+  if (is_public(address))
+    std::fprintf(stderr, "crumple view: whoever reaches %s sees this scene; --listen 127.0.0.1:8080 is for this machine only\n",
+                 address.c_str());
+  std::printf("scene %s of %s: open http://%s/ in a browser\n", scene.c_str(),
+              options.file.empty() ? connect.c_str() : options.file.c_str(), address.c_str());
+  std::fflush(stdout);
+  run(gateway, options.seconds, stop);
+  return 0;
+}
+
+}  // namespace crumple

@@ -1,0 +1,24 @@
+// `crumple view`: a scene for browsers. One page over HTTP, and one WebSocket on which each browser gets the bytes that zenoh
+// carries; clients/web/src/live.ts is the other end.
+#pragma once
+
+#include <atomic>
+#include <string>
+
+namespace crumple {
+
+struct ViewOptions {
+  std::string file;  // a recording, played again and again in place of a server's scene; empty: none
+  double speed = 1;  // of it
+  std::string connect = "tcp/127.0.0.1:7447";
+  std::string network;  // JSON5 of zenoh's own configuration, laid over ours; empty: none
+  std::string scene = "main";
+  std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0: any free one, printed
+  std::string page;                       // HTML file; empty: web/index.html beside the program
+  double seconds = 0;                     // ends after these; 0: by SIGINT or SIGTERM
+};
+
+// Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.
+int view(const ViewOptions&, const std::atomic<bool>& stop);
+
+}  // namespace crumple

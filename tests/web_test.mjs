@@ -1,0 +1,266 @@
+// The gateway for browsers and its page, as a newcomer has them: real server, real zenoh, `crumple view`.
+//   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
+//   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
+//   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
+// WEB: the folder build/web.
+import assert from "node:assert/strict";
+import { spawn } from "node:child_process";
+import { existsSync, readFileSync, writeFileSync } from "node:fs";
+import { request } from "node:http";
+import { createRequire } from "node:module";
+import { connect } from "node:net";
+import { resolve } from "node:path";
+import { fileURLToPath, pathToFileURL } from "node:url";
+
+const patience = 90_000; // ms, for a machine under load with sanitizers on
+const here = fileURLToPath(new URL(".", import.meta.url));
+const [mode, program, car, web] = process.argv.slice(2);
+const { digits, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
+
+async function until(what, condition) {
+  for (const end = Date.now() + patience; Date.now() < end; await new Promise((wait) => setTimeout(wait, 20))) {
+    const value = await condition();
+    if (value) return value;
+  }
+  assert.fail(`did not come within ${patience / 1000} s: ${what}`);
+}
+
+const children = [];
+function start(...options) {
+  const child = spawn(program, options, { stdio: ["ignore", "pipe", "inherit"] });
+  const process = { child, text: "", ended: new Promise((ended) => child.on("exit", (code) => ended(code))) };
+  child.stdout.on("data", (data) => (process.text += data));
+  children.push(process);
+  return process;
+}
+const said = (process, pattern) => until(`${pattern}`, () => pattern.exec(process.text)?.[1]);
+async function end(process) {
+  process.child.kill("SIGTERM");
+  return process.ended;
+}
+
+const view = (...options) => start("view", "--page", resolve(web, "index.html"), ...options);
+const address = (gateway) => said(gateway, /(http:\S+\/) in a browser/);
+
+// The status that a request with these headers gets.
+function status(url, headers) {
+  return new Promise((done, failed) => {
+    const asked = request(url, { headers }, (answer) => done(answer.statusCode));
+    asked.on("upgrade", (answer, socket) => (socket.destroy(), done(answer.statusCode)));
+    asked.on("error", failed).end();
+  });
+}
+
+async function checkWhoMayAsk(url) {
+  const { host } = new URL(url);
+  const socket = { Connection: "Upgrade", Upgrade: "websocket", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==" };
+  assert.equal(await status(url, {}), 200);
+  assert.equal(await status(`${url}asset/0000000000000000`, {}), 404);
+  assert.equal(await status(`${url}live`, { ...socket, Origin: `http://${host}` }), 101);
+  assert.equal(await status(`${url}live`, { ...socket, Origin: "http://another.example" }), 403, "a page of another site reads the scene");
+  assert.equal(await status(url, { Host: "another.example" }), 403, "a name of another site that leads here reads the scene");
+}
+
+// A browser that reads and never answers: how many batches it gets.
+function neverAnswers(url) {
+  const { hostname, port } = new URL(url);
+  const socket = connect(port, hostname);
+  socket.write(`GET /live HTTP/1.1\r\nHost: ${hostname}:${port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n` +
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n");
+  let bytes = Buffer.alloc(0);
+  socket.on("data", (data) => (bytes = Buffer.concat([bytes, data])));
+  socket.on("error", () => {});
+  return {
+    close: () => socket.destroy(),
+    batches() {
+      let at = bytes.indexOf("\r\n\r\n") + 4, count = 0;
+      while (at > 3 && at + 2 <= bytes.length) {
+        const short = bytes[at + 1], size = short < 126 ? short : short === 126 ? bytes.readUInt16BE(at + 2) : Number(bytes.readBigUInt64BE(at + 2));
+        at += (short < 126 ? 2 : short === 126 ? 4 : 10) + size;
+        ++count;
+      }
+      return count;
+    },
+  };
+}
+
+// A message that is cut off is refused, or was whole but for a string's last zeros: no other surface comes of it.
+function checkPrefixes(made, name, message) {
+  const whole = made();
+  assert.equal(whole[name](message), "whole");
+  for (let size = 0; size < message.length; ++size) {
+    const surface = made(), outcome = surface[name](message.slice(0, size));
+    assert.ok(outcome === "refused" || (outcome === "whole" && surface.hash === whole.hash), `${name}: ${size} of ${message.length} bytes are ${outcome}`);
+  }
+}
+
+async function client() {
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web");
+  const endpoint = await said(server, /at (tcp\S+),/);
+  const options = ["--connect", endpoint, "--scene", "web"];
+  let gateway = view(...options, "--listen", "127.0.0.1:0");
+  const url = await address(gateway);
+  await checkWhoMayAsk(url);
+
+  // The messages of the last pair that gave a surface.
+  let came = null, keyframe = null, delta = null;
+  for (const name of ["takeKeyframe", "takeDelta"]) {
+    const original = Surface.prototype[name];
+    Surface.prototype[name] = function (bytes) {
+      const outcome = original.call(this, bytes);
+      if (name === "takeKeyframe" && outcome !== "refused") came = bytes;
+      if (name === "takeDelta" && outcome === "whole") [keyframe, delta] = [came, bytes];
+      return outcome;
+    };
+  }
+  const live = new Live(url), mute = neverAnswers(url);
+  await until("the scene's server", () => live.server);
+  const drive = start("drive", resolve(here, "../clients/scenes/pole.json"), "--car", car, ...options, "--id", "dented", "--leave");
+  assert.equal(await drive.ended, 0, "drive failed");
+  const dented = live.cars.get("dented");
+  assert.ok(dented, "the car did not come");
+
+  // What another viewer, in C++, holds of it.
+  const held = async () => {
+    const watch = start("watch", "--once", ...options);
+    assert.equal(await watch.ended, 0);
+    return /hash ([0-9a-f]{16})/.exec(watch.text)[1];
+  };
+  await until("the server's hash", async () => digits(dented.surface.hash) === (await held()));
+  const { quanta, quantum } = dented.surface;
+  assert.equal(digits(hashOf(new Uint8Array(quanta.buffer))), digits(dented.surface.hash));
+  const deepest = 1000 * quantum * quanta.reduce((most, q) => Math.max(most, Math.abs(q)), 0);
+  assert.ok(deepest > 100, `a pole at 50 km/h leaves ${deepest} mm`);
+  assert.ok(dented.peak?.contacts > 0 && dented.absorbed > 10_000, "no reaction with contact came");
+  assert.ok(dented.pose && Math.hypot(...dented.velocity) < 0.1, "the car does not stand");
+  assert.equal([...live.obstacles.values()].flatMap(({ list }) => list).length, 1, "the pole is missing");
+  await until("its asset", () => dented.baked);
+  assert.equal(quanta.length, 3 * dented.baked.nodes);
+  assert.equal(dented.refused, 0);
+  await until("health", () => live.health && live.health.rooms.length > 3);
+
+  const [key, change] = [keyframe, delta];
+  checkPrefixes(() => new Surface(), "takeKeyframe", key);
+  const base = () => {
+    const surface = new Surface();
+    surface.takeKeyframe(key);
+    return surface;
+  };
+  checkPrefixes(base, "takeDelta", change);
+  assert.equal(mute.batches(), 4, "a browser that does not answer is sent more than it may have unanswered");
+  mute.close();
+
+  // A late one gets everything; the first one comes back by itself after the gateway was gone, and holds the same.
+  const late = new Live(url);
+  await until("a late browser", () => late.cars.get("dented")?.surface.hash === dented.surface.hash && late.cars.get("dented").pose);
+  late.close();
+  assert.equal(await end(gateway), 0);
+  await until("that the line is lost", () => live.link === "lost");
+  gateway = view(...options, "--listen", new URL(url).host);
+  await until("the line again", () => live.link === "live" && live.cars.get("dented")?.surface.hash === dented.surface.hash);
+  assert.ok(live.cars.get("dented") !== dented, "a car of another gateway passes for the same");
+  await end(server);
+  await until("that the server is gone", () => !live.server && live.cars.size === 0);
+  live.close();
+  console.log(`${live.received.batches} batches, deepest ${deepest.toFixed(0)} mm, hash ${digits(dented.surface.hash)}`);
+}
+
+// ---- the page ----
+
+function chromium() {
+  const folders = (process.env.PATH ?? "").split(":");
+  const names = ["chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"];
+  return names.flatMap((name) => folders.map((folder) => `${folder}/${name}`)).find((path) => existsSync(path));
+}
+
+// The hash of the last surface in a recording of one car, by the package in Node, which the other test compares with the server's.
+async function lastHash(url) {
+  const live = new Live(url);
+  let last = null, over = false;
+  await until("the recording's end", () => {
+    const held = [...live.cars.values()][0]?.surface;
+    if (held && last && held.tick < last.tick) over = true;
+    if (held?.tick && !over) last = { tick: held.tick, hash: held.hash };
+    return over;
+  });
+  live.close();
+  return digits(last.hash);
+}
+
+async function page(keep) {
+  const path = chromium();
+  if (!path) {
+    console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
+    return 77;
+  }
+  const gateway = view(resolve(here, "../recordings/m130_wall.mcap"), "--listen", "127.0.0.1:0");
+  const url = await address(gateway);
+  const hash = await lastHash(url);
+  const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
+  const browser = await browsers.launch({
+    executablePath: path, args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"], timeout: patience,
+  });
+  const opened = await browser.newPage({ viewport: { width: 560, height: 320 } });
+  opened.setDefaultTimeout(patience);
+  const console_ = [];
+  opened.on("console", (message) => console_.push(message.text()));
+  opened.on("pageerror", (error) => console_.push(`${error}`));
+  await opened.goto(url);
+  // The crash is over: the page has its last surface, and the car stands. Then it is stopped there.
+  await opened.waitForFunction((wanted) => {
+    const { live, shown } = window.crumple, [item] = shown.values();
+    const whole = item?.mesh?.deepest > 0.1 && item.car.surface.hash === BigInt(`0x${wanted}`) && Math.hypot(...item.car.velocity) < 0.01;
+    if (whole) live.close();
+    return whole;
+  }, hash);
+  await opened.waitForFunction(() => /\d+ mm/.test(document.querySelector("#cars .dent").textContent));
+  const panel = await opened.innerText("#panel");
+  for (const words of ["car", "km/h", "ms a tick", "solve", "bits a vertex"]) assert.ok(panel.includes(words), `the panel does not say "${words}": ${panel}`);
+  assert.match(await opened.innerText("#credits"), /mononofu/, "whom to credit is not shown");
+  await opened.keyboard.press("c"); // colours by dent stay on for the picture: there a dent shows most
+  assert.equal(await opened.getAttribute("#heat", "aria-pressed"), "true");
+  await opened.keyboard.press("p");
+  assert.ok(await opened.isHidden("#details"), "key P does not fold the panel");
+
+  // The same picture as the one that is kept, whatever the machine draws a little differently.
+  const shot = `data:image/png;base64,${await opened.evaluate(() => window.crumple.picture())}`;
+  const kept = resolve(here, "web_page.png");
+  if (keep) writeFileSync(kept, Buffer.from(shot.split(",")[1], "base64"));
+  const difference = await opened.evaluate(compare, [shot, `data:image/png;base64,${readFileSync(kept, "base64")}`]);
+  console.log(`hash ${hash}; the picture differs by ${(100 * difference.mean).toFixed(2)} % on average, by much in ${(100 * difference.far).toFixed(2)} % of it`);
+  assert.ok(difference.mean < 0.012 && difference.far < 0.02, "the page draws another picture than tests/web_page.png");
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+  return 0;
+}
+
+// In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
+async function compare(pictures) {
+  const [a, b] = await Promise.all(pictures.map(async (source) => {
+    const picture = new Image();
+    picture.src = source;
+    await picture.decode();
+    const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+    pen.drawImage(picture, 0, 0);
+    return pen.getImageData(0, 0, picture.width, picture.height);
+  }));
+  if (a.width !== b.width || a.height !== b.height) return { mean: 1, far: 1 };
+  let sum = 0, far = 0;
+  for (let i = 0; i < a.data.length; i += 4) {
+    const differs = [0, 1, 2].map((k) => Math.abs(a.data[i + k] - b.data[i + k]) / 255);
+    sum += (differs[0] + differs[1] + differs[2]) / 3;
+    far += Math.max(...differs) > 0.2;
+  }
+  return { mean: sum / (a.data.length / 4), far: far / (a.data.length / 4) };
+}
+
+let code = 1;
+try {
+  code = (mode === "client" ? await client() : await page(mode === "keep")) ?? 0;
+} catch (error) {
+  console.error(error);
+} finally {
+  for (const { child } of children) child.kill("SIGKILL");
+}
+process.exit(code);
