@@ -15,7 +15,7 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 const patience = 90_000; // ms, for a machine under load with sanitizers on
 const here = fileURLToPath(new URL(".", import.meta.url));
 const [mode, program, car, web] = process.argv.slice(2);
-const { digits, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
+const { digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
 
 async function until(what, condition) {
   for (const end = Date.now() + patience; Date.now() < end; await new Promise((wait) => setTimeout(wait, 20))) {
@@ -187,15 +187,33 @@ async function lastHash(url) {
   return digits(last.hash);
 }
 
+// A recording as a scene: any moment, forwards and backwards.
+function checkFilm(recording, hash) {
+  const film = Film.read(recording), held = () => [...film.cars.values()][0];
+  const before = 0.5, after = 2; // s: the wall is hit at 0.8
+  for (const time of [before, after, before, after]) {
+    film.seek(time);
+    if (time === after) assert.equal(digits(held().surface.hash), hash, `another surface after ${time} s`);
+    else assert.ok(held().surface.quanta.every((q) => q === 0), "a dent before the crash");
+    assert.equal(held().peak !== null, time === after);
+    assert.ok(held().baked && film.obstacles.size === 1);
+  }
+  film.seek(film.duration);
+  assert.equal(film.cars.size, 0, "a car that was despawned is there");
+  assert.throws(() => Film.read(new Uint8Array(1000)));
+}
+
 async function page(keep) {
   const path = chromium();
   if (!path) {
     console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
     return 77;
   }
-  const gateway = view(resolve(here, "../recordings/m130_wall.mcap"), "--listen", "127.0.0.1:0");
+  const recording = resolve(here, "../recordings/m130_wall.mcap");
+  const gateway = view(recording, "--listen", "127.0.0.1:0");
   const url = await address(gateway);
   const hash = await lastHash(url);
+  checkFilm(new Uint8Array(readFileSync(recording)), hash);
   const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
   const browser = await browsers.launch({
     executablePath: path, args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"], timeout: patience,
@@ -229,6 +247,23 @@ async function page(keep) {
   const difference = await opened.evaluate(compare, [shot, `data:image/png;base64,${readFileSync(kept, "base64")}`]);
   console.log(`hash ${hash}; the picture differs by ${(100 * difference.mean).toFixed(2)} % on average, by much in ${(100 * difference.far).toFixed(2)} % of it`);
   assert.ok(difference.mean < 0.012 && difference.far < 0.02, "the page draws another picture than tests/web_page.png");
+
+  // The same recording as a file, put to a moment before the crash and to one after it.
+  await opened.setInputFiles("#file", recording);
+  await opened.waitForFunction(() => window.crumple.film());
+  for (const [time, dented] of [[2, true], [0.5, false]]) {
+    await opened.evaluate((value) => {
+      const scrub = document.querySelector("#scrub");
+      scrub.value = value;
+      scrub.dispatchEvent(new Event("input"));
+    }, `${time}`);
+    await opened.waitForFunction((wanted) => {
+      const [item] = window.crumple.shown.values();
+      return item?.mesh && item.mesh.deepest > 0.1 === wanted;
+    }, dented);
+  }
+  await opened.click("#close");
+  assert.ok(await opened.isHidden("#player"));
   assert.deepEqual(console_, [], "the console is not clean");
   await browser.close();
   await end(gateway);

@@ -1,9 +1,11 @@
-// The page of `crumple view`: shows what Live holds. Draws only while something changes.
+// The page of `crumple view`: shows the scene of the gateway, or a recording that was dropped on it. Draws only while something changes.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import { Shape, type Pose } from "./decode.js";
-import { Live, type LiveCar } from "./live.js";
+import { Film } from "./film.js";
+import { Live } from "./live.js";
+import type { LiveCar, Scene } from "./scene.js";
 import { CarMesh, obstacleGeometry } from "./three.js";
 
 // Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
@@ -18,6 +20,8 @@ const panelPeriod = 250; // ms: text that changes faster is not read
 const element = <T extends HTMLElement>(id: string) => document.getElementById(id) as T;
 const canvas = element<HTMLCanvasElement>("canvas");
 const live = new Live(location.href);
+let film: Film | null = null;
+let source: Scene = live; // what is shown: one of the two
 
 // ---- the scene ----
 
@@ -150,7 +154,7 @@ class ShownCar {
 
   /** Of that tick of the last hit, in g. */
   get deceleration(): number {
-    const { peak, baked } = this.car, rate = live.health?.rate || 60;
+    const { peak, baked } = this.car, rate = source.health?.rate || 60;
     return peak && baked ? (Math.hypot(...peak.impulse) * rate) / baked.mass / gravity : 0;
   }
 
@@ -193,11 +197,11 @@ function freePaint(): string {
 
 function updateCars(now: number): void {
   for (const [id, item] of shown)
-    if (live.cars.get(id) !== item.car) {
+    if (source.cars.get(id) !== item.car) {
       item.remove();
       shown.delete(id);
     }
-  for (const [id, car] of live.cars) {
+  for (const [id, car] of source.cars) {
     if (!shown.has(id)) shown.set(id, new ShownCar(car, freePaint()));
     hadCars = true;
     shown.get(id)!.update(now);
@@ -215,11 +219,11 @@ const obstacles = new Map<string, { list: unknown; group: THREE.Group }>();
 function updateObstacles(now: number): boolean {
   let moving = false;
   for (const [host, item] of obstacles)
-    if (!live.obstacles.has(host)) {
+    if (!source.obstacles.has(host)) {
       scene.remove(item.group);
       obstacles.delete(host);
     }
-  for (const [host, { list, at }] of live.obstacles) {
+  for (const [host, { list, at }] of source.obstacles) {
     let item = obstacles.get(host);
     if (item?.list !== list) {
       if (item) scene.remove(item.group);
@@ -364,10 +368,10 @@ const round = (value: number, places = 0) => value.toFixed(places);
 function updatePanel(now: number): void {
   const age = (at: number) => (at ? `${round(Math.max(0, now - at) / 1000, 1)} s ago` : "never");
   const link = element("link");
-  const state = live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
+  const state = film ? "recording" : live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
   link.textContent = state;
-  link.className = state === "live" ? "" : "lost";
-  element("hint").textContent = state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
+  link.className = film || state === "live" ? "" : "lost";
+  element("hint").textContent = film || state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
   for (const item of shown.values()) {
     const { car } = item, [first, second] = item.row.querySelectorAll("small");
     item.row.querySelector(".dent")!.textContent = item.mesh ? `${round(1000 * item.mesh.deepest)} mm` : "…";
@@ -382,7 +386,7 @@ function updatePanel(now: number): void {
 }
 
 function updateServer(age: (at: number) => string): void {
-  const { health } = live, server = element("server");
+  const { health } = source, server = element("server");
   server.replaceChildren();
   if (!health) return;
   const add = <K extends keyof HTMLElementTagNameMap>(parent: HTMLElement, tag: K, text = "") => {
@@ -392,7 +396,7 @@ function updateServer(age: (at: number) => string): void {
   };
   const period = 1000 / health.rate;
   add(add(server, "h2", "Server"), "span", `${round(health.rate)} ticks a second`);
-  add(server, "small", `tick ${health.tick}, ${health.late} late, told ${age(live.healthAt)}`);
+  add(server, "small", `tick ${health.tick}, ${health.late} late, told ${age(source.healthAt)}`);
   const table = add(server, "table");
   const row = (name: string, mean: string, worst: string) => {
     const cells = add(table, "tr"), first = add(cells, "td");
@@ -444,10 +448,12 @@ function turn(azimuth: number, polar: number, nearer: number): void {
 const keys: Record<string, () => void> = {
   ArrowLeft: () => turn(-0.1, 0, 1), ArrowRight: () => turn(0.1, 0, 1), ArrowUp: () => turn(0, -0.07, 1), ArrowDown: () => turn(0, 0.07, 1),
   "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
+  " ": () => film && element("play").click(), o: () => element("open").click(),
   c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
 };
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || (event.key === " " && event.target instanceof HTMLButtonElement)) return;
   const car = /^[1-9]$/.test(event.key) ? [...shown.keys()][Number(event.key) - 1] : undefined;
   const action = car ? () => follow(car) : keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
   if (!action) return;
@@ -456,9 +462,62 @@ addEventListener("keydown", (event) => {
   wake();
 });
 
+// ---- recordings ----
+
+const scrub = element<HTMLInputElement>("scrub"), speed = element<HTMLSelectElement>("speed"), file = element<HTMLInputElement>("file");
+let playing = false;
+
+function show(next: Film | null, name = ""): void {
+  film = next;
+  source = next ?? live;
+  playing = next !== null;
+  element("player").hidden = !next;
+  element("name").textContent = name;
+  follow("");
+  resize();
+}
+
+async function open(recording: File | undefined): Promise<void> {
+  if (!recording) return;
+  try {
+    show(Film.read(new Uint8Array(await recording.arrayBuffer())), recording.name);
+  } catch (error) {
+    element("hint").textContent = "";
+    alert(`${recording.name} cannot be shown: ${error instanceof Error ? error.message : error}`);
+  }
+}
+
+// At the end it stands.
+function play(shownFilm: Film, seconds: number): void {
+  if (playing) shownFilm.seek(shownFilm.time + seconds * Number(speed.value));
+  if (shownFilm.time >= shownFilm.duration) playing = false;
+  scrub.max = String(shownFilm.duration);
+  if (playing) scrub.value = String(shownFilm.time);
+  element("time").textContent = `${round(shownFilm.time, 2)} of ${round(shownFilm.duration, 2)} s`;
+  const label = playing ? "Pause" : "Play";
+  if (element("play").textContent !== label) element("play").textContent = label;
+}
+
+press("open", () => file.click());
+file.onchange = () => void open(file.files?.[0]);
+press("close", () => show(null));
+press("play", () => {
+  if (film && film.time >= film.duration) film.seek(0);
+  playing = !playing;
+});
+scrub.oninput = () => {
+  playing = false;
+  film?.seek(Number(scrub.value));
+};
+addEventListener("dragover", (event) => event.preventDefault());
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  void open(event.dataTransfer?.files[0]);
+});
+
 // ---- the loop ----
 
-let awakeUntil = 0, drawnAt = 0, batches = -1, panelAt = 0, slow = 0;
+let awakeUntil = 0, drawnAt = 0, calledAt = 0, version = -1, panelAt = 0, slow = 0;
 function wake(): void {
   awakeUntil = performance.now() + 700; // as long as damping and arrows go on by themselves
 }
@@ -474,20 +533,22 @@ function coarsen(period: number): void {
 
 function frame(now: number): void {
   requestAnimationFrame(frame);
-  if (batches !== live.received.batches) wake();
-  batches = live.received.batches;
+  if (film) play(film, Math.min(1, (now - calledAt) / 1000));
+  calledAt = now;
+  if (version !== source.version) wake();
+  version = source.version;
   if (now - panelAt > panelPeriod) {
     panelAt = now;
-    updatePanel(now);
+    updatePanel(source.now());
   }
   if (now > awakeUntil) return;
   const period = now - drawnAt, seconds = Math.min(1, period / 1000);
   drawnAt = now;
   coarsen(period);
-  updateCars(now);
-  if (updateObstacles(now)) wake();
+  updateCars(source.now());
+  if (updateObstacles(source.now())) wake();
   scene.updateMatrixWorld();
-  if (updateView(now, seconds)) wake();
+  if (updateView(source.now(), seconds)) wake();
   controls.update();
   light();
   camera.updateMatrixWorld();
@@ -522,4 +583,4 @@ function picture(): string {
 }
 
 // For tests and for whoever is curious at the console.
-Object.assign(window, { crumple: { live, shown, picture } });
+Object.assign(window, { crumple: { live, shown, picture, film: () => film } });

@@ -1,0 +1,139 @@
+// A recording (MCAP, as `crumple serve --record` writes it) as a scene that can be put to any moment. Nothing but the file is needed:
+// its baked cars are attachments. One that was cut off is read as far as it is whole.
+import { McapStreamReader } from "@mcap/core";
+import { decompress } from "lz4js";
+import { ByteBuffer } from "flatbuffers";
+import { readCar } from "./baked.js";
+import { Answer } from "./crumple/schema/answer.js";
+import { Command } from "./crumple/schema/command.js";
+import { Order } from "./crumple/schema/order.js";
+import { readReactions } from "./decode.js";
+import { Scene, type Entry } from "./scene.js";
+
+/** s without a contact until the next one is another hit; as the gateway has it. */
+const hitEnds = 1;
+const shown = /^(health|host\/[^/]+\/(poses|obstacles)|car\/[^/]+\/(key|delta)\/0)$/;
+
+/** When a car lived, s. */
+interface Life {
+  id: string;
+  from: number;
+  to: number;
+}
+
+interface Told {
+  /** s since the first message */
+  time: number;
+  payload: Uint8Array;
+}
+
+export class Film extends Scene {
+  /** s */
+  duration = 0;
+  /** Where it stands, s. */
+  time = 0;
+
+  #told = new Map<string, Told[]>(); // by key, in order of time
+  #taken = new Map<string, Told>(); // by key: what the scene has
+  #lives: Life[] = [];
+  #peaks = new Map<string, { impulse: number; time: number }>(); // by car: of its last hit, and when its last contact was
+  #despawning = ""; // the key of a Command whose Answer has not come
+  #showing = 0;
+
+  override now(): number {
+    return 1000 * this.time;
+  }
+
+  /** Throws an Error with a sentence where the bytes are no recording. */
+  static read(bytes: Uint8Array): Film {
+    const film = new Film();
+    const reader = new McapStreamReader({ decompressHandlers: { lz4: (data, size) => decompress(data, Number(size)) } });
+    const topics = new Map<number, string>();
+    let first: bigint | null = null;
+    reader.append(bytes);
+    for (let record; (record = reader.nextRecord()); ) {
+      if (record.type === "Channel") topics.set(record.id, record.topic.split("/").slice(3).join("/"));
+      if (record.type === "Attachment" && record.mediaType === "application/vnd.crumple.car")
+        film.give(record.name, readCar(record.data.slice(), record.name));
+      if (record.type !== "Message") continue;
+      first ??= record.logTime;
+      const time = Number(record.logTime - first) / 1e9;
+      film.duration = Math.max(film.duration, time);
+      film.#tell(topics.get(record.channelId) ?? "", { time, payload: record.data.slice() });
+    }
+    if (first === null) throw new Error("there is no message in this recording");
+    film.seek(0);
+    return film;
+  }
+
+  /** To this moment, s. Forwards or backwards. */
+  seek(time: number): void {
+    if (time < this.time) {
+      ++this.#showing; // another showing has other cars
+      this.#taken.clear();
+      this.obstacles.clear();
+      this.health = null;
+    }
+    this.time = Math.min(Math.max(time, 0), this.duration);
+    const living = this.#lives.filter(({ from, to }) => from <= this.time && this.time < to);
+    const lines = living.map(({ id, from }) => `car ${id} ${this.#showing}:${from}\n`);
+    const entries: Entry[] = [{ key: "alive", at: this.now(), payload: new TextEncoder().encode(`server\n${lines.join("")}`) }];
+    for (const [key, all] of this.#told) {
+      const [kind, id] = key.split("/"), since = kind === "car" ? living.find((life) => life.id === id)?.from : 0;
+      const last = since === undefined ? undefined : all[after(all, this.time) - 1];
+      if (!last || last.time < since! || this.#taken.get(key) === last) continue;
+      this.#taken.set(key, last);
+      // of a surface, all its parts: told at one time
+      for (let i = after(all, this.time) - 1; i >= 0 && all[i].time === last.time; --i)
+        entries.push({ key, at: 1000 * last.time, payload: all[i].payload });
+    }
+    entries.sort((a, b) => Number(a.key.includes("/delta/")) - Number(b.key.includes("/delta/"))); // keyframes first
+    this.take(entries);
+  }
+
+  #add(key: string, told: Told): void {
+    if (!this.#told.has(key)) this.#told.set(key, []);
+    this.#told.get(key)!.push(told);
+  }
+
+  #tell(key: string, told: Told): void {
+    const [kind, id, what] = key.split("/");
+    if (kind === "host" && what === "reactions") this.#tellReactions(told);
+    else if (kind === "car" && (!what || what === "answer")) this.#tellDespawn(key, id, told);
+    else if (shown.test(key)) this.#add(key, told);
+    const lives = this.#lives.some((life) => life.id === id && life.to === Infinity);
+    if (what === "key" && !lives) this.#lives.push({ id, from: told.time, to: Infinity });
+  }
+
+  #tellReactions(told: Told): void {
+    for (const { car, impulse, contacts } of readReactions(told.payload)?.cars ?? []) {
+      this.#add(`car/${car}/reactions`, told);
+      if (contacts === 0) continue;
+      const size = Math.hypot(...impulse), peak = this.#peaks.get(car);
+      const another = !peak || told.time - peak.time > hitEnds;
+      this.#peaks.set(car, { impulse: another ? size : Math.max(size, peak.impulse), time: told.time });
+      if (another || size > peak.impulse) this.#add(`car/${car}/peak`, told);
+    }
+  }
+
+  #tellDespawn(key: string, id: string, told: Told): void {
+    if (key === `car/${id}`) {
+      if (Command.getRootAsCommand(new ByteBuffer(told.payload)).orderType() === Order.Despawn) this.#despawning = key;
+    } else if (key === `${this.#despawning}/answer`) {
+      const life = this.#lives.find((one) => one.id === id && one.to === Infinity);
+      if (life && Answer.getRootAsAnswer(new ByteBuffer(told.payload)).ok()) life.to = told.time;
+      this.#despawning = "";
+    }
+  }
+}
+
+/** How many of them were told up to this time. */
+function after(all: Told[], time: number): number {
+  let low = 0, high = all.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (all[middle].time <= time) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
