@@ -58,17 +58,26 @@ sun.shadow.radius = 3;
 const sunFrom = new THREE.Vector3(-9, -12, 18);
 scene.add(sun, sun.target);
 
-const ground = new THREE.Mesh(
-  new THREE.PlaneGeometry(600, 600),
-  new THREE.MeshLambertMaterial({ color: "#a7afb6" }),
-);
+const ground = new THREE.Mesh(new THREE.PlaneGeometry(600, 600), new THREE.MeshLambertMaterial({ color: "#a7afb6", map: squares(600) }));
 ground.receiveShadow = true;
-const grid = new THREE.GridHelper(200, 200, "#5d6871", "#5d6871");
-grid.rotation.x = Math.PI / 2;
-grid.position.z = 0.01;
-(grid.material as THREE.Material).transparent = true;
-(grid.material as THREE.Material).opacity = 0.3;
-scene.add(ground, grid);
+scene.add(ground);
+
+/** A line every metre. As lines they would be jagged far away, and some drivers leave out those that end behind the eye. */
+function squares(metres: number): THREE.Texture {
+  const tile = document.createElement("canvas"), pen = tile.getContext("2d")!;
+  tile.width = tile.height = 128;
+  pen.fillStyle = "#ffffff";
+  pen.fillRect(0, 0, 128, 128);
+  pen.strokeStyle = "#d3d7db";
+  pen.lineWidth = 3;
+  pen.strokeRect(0, 0, 128, 128);
+  const texture = new THREE.CanvasTexture(tile);
+  texture.colorSpace = THREE.SRGBColorSpace;
+  texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+  texture.repeat.set(metres, metres);
+  texture.anisotropy = 4;
+  return texture;
+}
 
 function place(object: THREE.Object3D, pose: Pose): void {
   object.position.set(...pose.position);
