@@ -157,7 +157,8 @@ async function client() {
   assert.equal(await end(gateway), 0);
   await until("that the line is lost", () => live.link === "lost");
   gateway = view(...options, "--listen", new URL(url).host);
-  await until("the line again", () => live.link === "live" && live.cars.get("dented")?.surface.hash === dented.surface.hash);
+  await until("the line again", () => live.link === "live");
+  await until("the surface again", async () => digits(live.cars.get("dented")?.surface.hash ?? 0n) === (await held()));
   assert.ok(live.cars.get("dented") !== dented, "a car of another gateway passes for the same");
   await end(server);
   await until("that the server is gone", () => !live.server && live.cars.size === 0);
