@@ -1,6 +1,6 @@
 //! zenoh's configuration for a session: ours, and the caller's JSON5 laid over it. Our values and their reasons stand here.
 
-use crate::fail::{BAD_ARGUMENT, Fail};
+use crate::fail::{BAD_ARGUMENT, Fail, said};
 use serde_json::{Value, json};
 
 /// Bytes of one message, ours and what is accepted from others: a baked car of 50,000 nodes has 20 MB (zenoh allows 1 GiB).
@@ -80,7 +80,8 @@ pub fn build(
         merge(&mut config, laid);
     }
     zenoh::Config::from_json5(&config.to_string()).map_err(|e| {
-        bad(format!("zenoh refuses the network configuration: {e}; check endpoints (tcp/HOST:PORT) and the names of its keys"))
+        let said = said(&e);
+        bad(format!("zenoh refuses the network configuration: {said}; check endpoints (tcp/HOST:PORT) and the names of its keys"))
     })
 }
 

@@ -32,3 +32,10 @@ pub fn causes(error: &dyn std::error::Error) -> String {
     }
     line
 }
+
+/// What zenoh says, without the places in its sources.
+pub fn said(error: &zenoh::Error) -> String {
+    let text = error.to_string();
+    let sentences: Vec<_> = text.split(" - Caused by ").map(|it| it.split(" at /").next().unwrap_or(it)).collect();
+    sentences.join(": ")
+}

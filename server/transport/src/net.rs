@@ -4,7 +4,7 @@
 
 use crate::bytes::Aligned;
 use crate::config::{self, MAX_MESSAGE};
-use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO};
+use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO, said};
 use crate::inbox::{Counts, Event, Inbox, Kind, REPLIES, SourceId};
 use crate::queue::{Next, Queue, Refused};
 use std::any::Any;
@@ -104,7 +104,7 @@ impl Net {
                 "client" => ("connect to", connect, "is a server running there?"),
                 _ => ("listen on", listen, "is the port free and the address this machine's?"),
             };
-            Fail::new(IO, format!("cannot {verb} {}: {remedy} ({e})", ends.join(", ")))
+            Fail::new(IO, format!("cannot {verb} {}: {remedy} ({})", ends.join(", "), said(&e)))
         })?;
         let mut endpoints: Vec<String> = session.info().locators().wait().iter().map(|locator| locator.to_string()).collect();
         endpoints.sort();
@@ -293,7 +293,8 @@ fn check_size(key: &str, data: &[u8]) -> Result<(), Fail> {
 }
 
 fn key_expression(text: &str) -> Result<KeyExpr<'static>, Fail> {
-    KeyExpr::try_from(text.to_string()).map_err(|e| Fail::new(BAD_ARGUMENT, format!("\"{text}\" is not a key expression: {e}")))
+    KeyExpr::try_from(text.to_string())
+        .map_err(|e| Fail::new(BAD_ARGUMENT, format!("\"{text}\" is not a key expression: {}", said(&e))))
 }
 
 fn one_key(text: &str) -> Result<KeyExpr<'static>, Fail> {
