@@ -9,17 +9,14 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import unittest
 
 import crumple
 from crumple._library import ffi
 from crumple.schema.Delta import Delta
 from crumple.schema.Keyframe import Keyframe
+from live_server import CAR, LIBRARY, PATIENCE, ROOT, WithServer
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
-PATIENCE = 120.0  # s for what must come
-PROGRAM, CAR, LIBRARY = (str(pathlib.Path(each).resolve()) for each in sys.argv[1:4])
 CLIENTS = pathlib.Path(LIBRARY).parent
 no_mono = None if shutil.which("mcs") and shutil.which("mono") else "mcs and mono are missing: apt-get install mono-mcs mono-runtime"
 
@@ -40,23 +37,7 @@ def commands(readme):
     return re.findall(r"^    ((?:g\+\+|mcs|LD_LIBRARY_PATH).*?)(?:   .*)?$", (ROOT / readme).read_text(), re.MULTILINE)
 
 
-class WithServer(unittest.TestCase):
-    def setUp(self):
-        self.folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory(prefix="crumple_test_")))
-        self.recording = self.folder / "session.mcap"
-        command = [PROGRAM, "serve", "--car", CAR, "--listen", "tcp/127.0.0.1:0", "--record", self.recording, "--threads", "1"]
-        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.addCleanup(self.stop)
-        first = self.server.stdout.readline()
-        self.assertTrue(first, "the server did not start; it says why above")
-        self.endpoint = re.search(r"tcp/[0-9.:]+", first).group()
-
-    def stop(self):
-        if self.server.poll() is None:
-            self.server.terminate()
-            self.assertEqual(self.server.wait(PATIENCE), 0, "the server did not end cleanly")
-        self.server.stdout.close()
-
+class WithViewers(WithServer):
     def begin(self, *command):
         """A viewer that prints something when it has its first surface."""
         environment = {**os.environ, "LD_LIBRARY_PATH": str(CLIENTS)}
@@ -110,7 +91,7 @@ class WithServer(unittest.TestCase):
         return said, f"hash {told[max(told)]:016x}", f"deepest dent {1000 * (moved**2).sum(axis=1).max() ** 0.5:.0f} mm"
 
 
-class Cpp(WithServer):
+class Cpp(WithViewers):
     def test_the_viewer_of_the_manual_ends_with_the_surface_of_the_server(self):
         example = (ROOT / "clients/cpp/examples/viewer.cpp").read_text()
         self.assertEqual(first_code("clients/cpp/README.md", "cpp"), example)
@@ -141,7 +122,7 @@ class Cpp(WithServer):
 
 
 @unittest.skipIf(no_mono, no_mono)
-class Unity(WithServer):
+class Unity(WithViewers):
     def compile(self, *sources, options=()):
         program = self.folder / "test.exe"
         sources = [ROOT / each for each in ("clients/unity/Crumple.cs", *sources)]

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import unittest
 
 import numpy as np
@@ -17,10 +16,7 @@ import numpy as np
 import crumple
 from crumple.schema.Delta import Delta
 from crumple.schema.Keyframe import Keyframe
-
-ROOT = pathlib.Path(__file__).resolve().parents[1]
-PATIENCE = 60.0  # s for what must come
-PROGRAM, CAR, LIBRARY = sys.argv[1:4]
+from live_server import CAR, LIBRARY, PATIENCE, PROGRAM, ROOT, WithServer
 
 
 def output(*command, **options):
@@ -39,23 +35,10 @@ class TheLibrary(unittest.TestCase):
         self.assertLessEqual(needed, {"libc.so.6", "libm.so.6", "libgcc_s.so.1", "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"})
 
 
-class ThePackage(unittest.TestCase):
+class ThePackage(WithServer):
     def setUp(self):
-        self.folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory(prefix="crumple_test_")))
+        super().setUp()
         shutil.copy(CAR, self.folder / "car.car")
-        self.recording = self.folder / "session.mcap"
-        command = [PROGRAM, "serve", "--car", CAR, "--listen", "tcp/127.0.0.1:0", "--record", self.recording, "--threads", "1"]
-        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.addCleanup(self.stop)
-        first = self.server.stdout.readline()
-        self.assertTrue(first, "the server did not start; it says why above")
-        self.endpoint = re.search(r"tcp/[0-9.:]+", first).group()
-
-    def stop(self):
-        if self.server.poll() is None:
-            self.server.terminate()
-            self.assertEqual(self.server.wait(PATIENCE), 0, "the server did not end cleanly")
-        self.server.stdout.close()
 
     def session(self, host=None):
         return self.enterContext(crumple.Session(self.endpoint, host=host, timeout=PATIENCE))
