@@ -185,6 +185,8 @@ Verb add_drive(CLI::App& app, client::DriveOptions& options) {
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
   verb.add_option("--host", options.host, "id of this host")->check(is_id)->capture_default_str();
   verb.add_option("--id", options.id, "id of the car that is spawned")->check(is_id)->capture_default_str();
+  verb.add_option("--preset", options.preset, "how the car bends, laid over the scene's parameters; see clients/presets")
+      ->type_name("FILE");
   verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
   verb.add_flag("--leave", options.leave, "leaves the car in the scene");
   verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");

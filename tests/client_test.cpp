@@ -720,6 +720,18 @@ TEST(Scene, EverySceneOfTheRepositoryIsRead) {
   EXPECT_GE(count, 6u);
 }
 
+TEST(Scene, EveryPresetOfTheRepositoryIsRead) {
+  std::set<std::string> abouts;
+  for (const auto& file : std::filesystem::directory_iterator(std::string(CRUMPLE_SOURCE_DIR) + "/clients/presets")) {
+    if (file.path().extension() != ".json") continue;
+    const schema::PresetT preset = client::read_preset(file.path().string());
+    EXPECT_FALSE(preset.parameters.empty()) << file.path();
+    abouts.insert(preset.about);
+    EXPECT_THROW(static_cast<void>(client::read_scene(file.path().string())), std::runtime_error);
+  }
+  EXPECT_GE(abouts.size(), 4u);
+}
+
 TEST(Scene, AMistakeIsToldWithFileAndLine) {
   const std::string trouble = scene_trouble("{\n  \"about\": \"x\",\n  \"speeed\": 3\n}\n");
   EXPECT_NE(trouble.find("crumple_scene_test.json:3"), std::string::npos) << trouble;

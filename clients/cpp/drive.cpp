@@ -104,6 +104,7 @@ struct Result {
 struct Run {
   const DriveOptions& options;
   const schema::SceneT& scene;
+  const schema::PresetT& preset;  // empty: none
   const std::atomic<bool>& stop;
   Session session;
   double rate = 60, mass = 0;
@@ -182,8 +183,11 @@ Vector3d begin(Run& run) {
   }
   for (const auto& parameters : run.scene.parameters)
     attempt("take the scene's parameters", [&] { took(run, session.set_parameters(id, parameters_of(*parameters))); });
+  for (const auto& parameters : run.preset.parameters)
+    attempt("take the preset's parameters", [&] { took(run, session.set_parameters(id, parameters_of(*parameters))); });
   session.follow(id);
   say("%s\n  car %s, %.0f kg: %s\n", run.scene.about.c_str(), mesh.name, run.mass, mesh.attribution);
+  if (!run.preset.about.empty()) say("  %s\n", run.preset.about.c_str());
   return vector_of(mesh.center_of_mass);
 }
 
@@ -353,7 +357,8 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
 
 int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
   const schema::SceneT scene = read_scene(options.file);
-  Run run{options, scene, stop,
+  const schema::PresetT preset = options.preset.empty() ? schema::PresetT{} : read_preset(options.preset);
+  Run run{options, scene, preset, stop,
           Session({options.connect, options.scene, options.host, options.network, std::chrono::seconds(5)})};
   run.rate = options.rate > 0 ? options.rate : scene.rate;
   const Vector3d center = begin(run);

@@ -32,21 +32,28 @@ void check(const std::string& file, const schema::SceneT& scene) {
   }
 }
 
+template <class Table>
+typename Table::NativeTableType parse(const std::string& file, const char* root) {
+  std::string text;
+  if (!flatbuffers::LoadFile(file.c_str(), false, &text)) refuse(file, "cannot be read: check the path");
+  flatbuffers::Parser parser;
+  if (!parser.Deserialize(scene_schema, static_cast<size_t>(scene_schema_end - scene_schema)) || !parser.SetRootType(root))
+    refuse(file, "the schema inside this program is damaged: build it again");
+  // The parser's sentence begins with file and line.
+  if (!parser.ParseJson(text.c_str(), file.c_str())) throw std::runtime_error(parser.error_ + " (its form: schema/scene.fbs)");
+  typename Table::NativeTableType out;
+  flatbuffers::GetRoot<Table>(parser.builder_.GetBufferPointer())->UnPackTo(&out);
+  return out;
+}
+
 }  // namespace
 
 schema::SceneT read_scene(const std::string& file) {
-  std::string text;
-  if (!flatbuffers::LoadFile(file.c_str(), false, &text)) refuse(file, "cannot be read: give the path of a scene file");
-  flatbuffers::Parser parser;
-  if (!parser.Deserialize(scene_schema, static_cast<size_t>(scene_schema_end - scene_schema)))
-    refuse(file, "the scene schema inside this program is damaged: build it again");
-  // The parser's sentence begins with file and line.
-  if (!parser.ParseJson(text.c_str(), file.c_str()))
-    throw std::runtime_error(parser.error_ + " (the form of a scene: schema/scene.fbs)");
-  schema::SceneT scene;
-  flatbuffers::GetRoot<schema::Scene>(parser.builder_.GetBufferPointer())->UnPackTo(&scene);
+  auto scene = parse<schema::Scene>(file, "crumple.schema.Scene");
   check(file, scene);
   return scene;
 }
+
+schema::PresetT read_preset(const std::string& file) { return parse<schema::Preset>(file, "crumple.schema.Preset"); }
 
 }  // namespace crumple::client

@@ -1,4 +1,4 @@
-// A scene file for `crumple drive`: JSON in the form of schema/scene.fbs, read by FlatBuffers' own parser.
+// Scenes and presets for `crumple drive`: JSON in the form of schema/scene.fbs, read by FlatBuffers' own parser.
 #pragma once
 
 #include <memory>
@@ -10,5 +10,6 @@ namespace crumple::client {
 
 // Throws std::runtime_error: file, line and what is wrong there; or which value is out of its range.
 schema::SceneT read_scene(const std::string& file);
+schema::PresetT read_preset(const std::string& file);
 
 }  // namespace crumple::client
