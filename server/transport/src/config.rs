@@ -81,7 +81,9 @@ pub fn build(
     }
     zenoh::Config::from_json5(&config.to_string()).map_err(|e| {
         let said = said(&e);
-        bad(format!("zenoh refuses the network configuration: {said}; check endpoints (tcp/HOST:PORT) and the names of its keys"))
+        bad(format!(
+            "zenoh refuses the network configuration: {said}; check endpoints (tcp/HOST:PORT) and the names of its keys"
+        ))
     })
 }
 
