@@ -228,9 +228,6 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       ->type_name("HOST:PORT")
       ->capture_default_str();
   verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
-  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
   verb.footer("Examples: crumple view\n          crumple view today.mcap --speed 0.25");
   return [&options] { return view(options, stop); };
 }

@@ -260,10 +260,9 @@ void ask(Gateway& gateway) {
   }
 }
 
-void run(Gateway& gateway, double seconds, const std::atomic<bool>& stop) {
-  const auto begun = Clock::now();
+void run(Gateway& gateway, const std::atomic<bool>& stop) {
   NetEvent events[64];
-  while (!stop && !(seconds > 0 && std::chrono::duration<double>(Clock::now() - begun).count() > seconds)) {
+  while (!stop) {
     const int got = net_poll(gateway.net, events, 64, 50'000);
     need(got);
     for (int i = 0; i < got; ++i) take(gateway, events[i]);
@@ -343,7 +342,7 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   std::printf("scene %s of %s: open http://%s/ in a browser\n", scene.c_str(),
               options.file.empty() ? connect.c_str() : options.file.c_str(), address.c_str());
   std::fflush(stdout);
-  run(gateway, options.seconds, stop);
+  run(gateway, stop);
   return 0;
 }
 

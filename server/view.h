@@ -15,7 +15,6 @@ struct ViewOptions {
   std::string scene = "main";
   std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0: any free one, printed
   std::string page;                       // HTML file; empty: web/index.html beside the program
-  double seconds = 0;                     // ends after these; 0: by SIGINT or SIGTERM
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.

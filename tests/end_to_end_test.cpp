@@ -1,4 +1,5 @@
 // A session from its first pose to its recording, as a user sees it.
+#include <regex>
 #include <thread>
 
 #include "program.h"
@@ -300,6 +301,18 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   const std::string text{std::istreambuf_iterator<char>(obj), {}};
   EXPECT_NE(text.find("made by the tests"), std::string::npos);
   EXPECT_NE(text.find("\nf "), std::string::npos);
+
+  // A preset lies over the scene's parameters.
+  std::ofstream(path("stiff.json")) << R"({"about": "Ten times as stiff.", "parameters": [{"young_modulus": 4e7}]})";
+  const Outcome stiff = run({"drive", path("scene.json"), "--preset", path("stiff.json"), "--car", car_file.string(),
+                             "--connect", endpoint, "--id", "stiff"});
+  EXPECT_EQ(stiff.code, 0) << stiff.text;
+  const auto crush = [](const Outcome& of) {
+    std::smatch found;
+    return std::regex_search(of.text, found, std::regex(" g +([0-9]+) mm")) ? std::stoi(found[1]) : -1;
+  };
+  EXPECT_GT(crush(stiff), 0) << stiff.text;
+  EXPECT_LT(crush(stiff), crush(drive)) << stiff.text << drive.text;
 }
 
 TEST_F(EndToEnd, ExitCodesAndErrorsSayWhatToDo) {

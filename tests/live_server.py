@@ -1,4 +1,4 @@
-"""A server of its own for each test in Python. The test's command line: crumple, a baked car, the client library."""
+"""A server of its own for each test in Python, and a crash. The test's command line: crumple, a baked car, the client library."""
 
 import pathlib
 import re
@@ -6,6 +6,8 @@ import subprocess
 import sys
 import tempfile
 import unittest
+
+import crumple
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PATIENCE = 120.0  # s for what must come
@@ -28,3 +30,20 @@ class WithServer(unittest.TestCase):
             self.server.terminate()
             self.assertEqual(self.server.wait(PATIENCE), 0, "the server did not end cleanly")
         self.server.stdout.close()
+
+    def crash(self, host):
+        """A wall 0.7 m before the nose of car1, the car at 15 m/s; until it has bounced off and nothing is told of it any more. Gives
+        all reactions."""
+        nose = float(host.mesh(self.asset).vertex[:, 0].max())
+        self.wall = crumple.Obstacle(7, crumple.Shape.box, (1.0, 5.0, 5.0), crumple.Pose((nose + 1.7, 0.0, 0.0)), 0.25)
+        host.publish_obstacles([self.wall])
+        host.publish_poses(0.0, [crumple.CarPose("car1", crumple.Pose(), velocity=(15.0, 0.0, 0.0))])
+        reactions = []
+
+        def over():
+            reactions.extend(host.reactions())
+            touched = [each.tick for each in reactions if each.contacts]
+            return touched and reactions[-1].tick >= touched[-1] + 15
+
+        host.until(over, PATIENCE)
+        return reactions

@@ -48,22 +48,6 @@ class ThePackage(WithServer):
         surface = session.surface("car1")
         return surface.hash if surface else None
 
-    def crash(self, host):
-        """A wall 0.7 m before the car's nose, the car at 15 m/s; until nothing is told of it any more. Gives all reactions."""
-        nose = host.mesh(self.asset).vertex[:, 0].max()
-        self.wall = crumple.Obstacle(7, crumple.Shape.box, (1.0, 5.0, 5.0), crumple.Pose((float(nose) + 1.7, 0.0, 0.0)), 0.25)
-        host.publish_obstacles([self.wall])
-        host.publish_poses(0.0, [crumple.CarPose("car1", crumple.Pose(), velocity=(15.0, 0.0, 0.0))])
-        reactions = []
-
-        def over():
-            reactions.extend(host.reactions())
-            touched = [each.tick for each in reactions if each.contacts]
-            return touched and reactions[-1].tick >= touched[-1] + 15
-
-        host.until(over, PATIENCE)
-        return reactions
-
     def test_a_host_and_a_viewer_end_with_the_surface_of_the_server(self):
         host, viewer = self.session("script"), self.session()
         self.asset = host.add_asset(CAR)

@@ -129,8 +129,6 @@ int web_page(Web*, const char* path, const char* media_type, const void* data, s
 int web_set(Web*, const char* key, const void* data, size_t size);
 // Whoever comes from now on gets nothing of what is set under keys that begin so; the others are not told.
 int web_forget(Web*, const char* prefix);
-// WebSockets that are open now.
-size_t web_browsers(const Web*);
 void web_close(Web*);
 
 // ---- recordings: MCAP 0.26 ------------------------------------------------------------------------------------------------

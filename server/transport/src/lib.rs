@@ -379,11 +379,6 @@ pub unsafe extern "C" fn web_forget(web: *mut Web, prefix: *const c_char) -> c_i
 }
 
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn web_browsers(web: *const Web) -> usize {
-    unsafe { web.as_ref() }.map_or(0, Web::browsers)
-}
-
-#[unsafe(no_mangle)]
 pub unsafe extern "C" fn web_close(web: *mut Web) {
     if !web.is_null() {
         drop(unsafe { Box::from_raw(web) });

@@ -96,7 +96,7 @@ pub struct Net {
 impl Net {
     pub fn open(mode: &str, listen: &[&str], connect: &[&str], overlay: Option<&str>, timeout_ms: u32) -> Result<Net, Fail> {
         let config = config::build(mode, listen, connect, overlay, timeout_ms)?;
-        if listen.iter().chain(connect).any(|endpoint| endpoint.starts_with("tls/")) {
+        if config.to_string().contains("\"tls/") {
             one_thread_for_tls();
         }
         let session = zenoh::open(config).wait().map_err(|e| {

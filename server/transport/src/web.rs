@@ -120,10 +120,6 @@ impl Web {
         state.numbers.retain(|key, _| !key.starts_with(prefix));
         state.slots.retain(|_, slot| !slot.key.starts_with(prefix));
     }
-
-    pub fn browsers(&self) -> usize {
-        self.shared.browsers.load(Relaxed)
-    }
 }
 
 impl Drop for Web {
