@@ -293,13 +293,15 @@ struct OwnServer {
   uint64_t tick = 5, far_tick = 3, questions = 0, refuses = 0;
   const Quanta quanta = Quanta(3 * nodes, 1);
 
-  void start() {
+  void start(bool announced = true) {
     Net* opened = nullptr;
     ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), TRANSPORT_OK) << transport_error();
     net.reset(opened);
     ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key/*", 16), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/server"), TRANSPORT_OK);
-    ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);
+    if (announced) {
+      ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);
+    }
     const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 5000, net_endpoint(opened), "main", nullptr, nullptr};
     Crumple* handle = nullptr;
     ASSERT_EQ(crumple_open(&options, &handle), CRUMPLE_OK) << crumple_error();
@@ -359,6 +361,30 @@ TEST(Client, AsksForWhatHealthSaysThatItLost) {
   const uint64_t asked = server.questions;
   server.tick = 9;  // and nobody was sent it
   EXPECT_TRUE(server.comes_to_hold(9, true)) << "asked " << server.questions - asked << " times more";
+}
+
+// What a token says travels beside what a car is told by: either may come first.
+TEST(Client, ACarIsAliveFromItsFirstKeyframeUntilItsTokenGoes) {
+  const char *token = "crumple/1/main/car/a", *key = "crumple/1/main/car/a/key/0";
+  OwnServer server;
+  ASSERT_NO_FATAL_FAILURE(server.start(false));
+  ASSERT_TRUE(server.heard(key, true));
+  server.put(key, keyframe(5, server.quanta).front());
+  CrumpleSurface surface{};
+  for (int k = 0; k < 1000 && server.held() == 0; ++k) {
+  }
+  ASSERT_EQ(crumple_surface(server.viewer.get(), "a", &surface), CRUMPLE_OK);
+  EXPECT_TRUE(surface.alive);
+  for (const bool alive : {true, false, true}) {
+    ASSERT_EQ((alive ? net_announce : net_retract)(server.net.get(), token), TRANSPORT_OK);
+    const uint64_t asked = server.questions;
+    for (int k = 0; k < 1000 && (alive ? server.questions == asked : surface.alive); ++k) {
+      server.answer();
+      ASSERT_EQ(server.held(), 5u);
+      ASSERT_EQ(crumple_surface(server.viewer.get(), "a", &surface), CRUMPLE_OK);
+    }
+    EXPECT_EQ(surface.alive, alive);
+  }
 }
 
 TEST(Client, AsksAgainWhereItsFirstQuestionIsRefused) {

@@ -331,6 +331,7 @@ void take_liveliness(Crumple& session, std::string_view key, bool alive) {
   if (!car) return;
   const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // before its token came
   car->alive = alive;
+  car->gone = !alive;
   car->doubtful = false;  // a new one is asked for its keyframe anyway
   if (asked) return;
   car->fresh = true;
@@ -576,9 +577,14 @@ int crumple_surface(Crumple* session, const char* id, CrumpleSurface* out) {
   if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
   const FollowedCar& car = at->second;
   if (!held(car)) return CRUMPLE_PENDING;
-  *out = {car.surface.tick,    car.surface.hash,          static_cast<uint32_t>(car.surface.quanta.size() / 3),
-          car.surface.quantum, car.surface.asset.c_str(), car.surface.quanta.data(),
-          car.dirty,           car.alive || !session->net};
+  *out = {car.surface.tick,
+          car.surface.hash,
+          static_cast<uint32_t>(car.surface.quanta.size() / 3),
+          car.surface.quantum,
+          car.surface.asset.c_str(),
+          car.surface.quanta.data(),
+          car.dirty,
+          !car.gone};
   return CRUMPLE_OK;
 }
 

@@ -64,7 +64,8 @@ struct FollowedCar {
   float copied_quantum = 0;
   std::vector<float> copied;
   int level = 0;
-  bool alive = false;
+  bool alive = false;  // its token says so
+  bool gone = false;   // its token has been here and went; a keyframe may come before a token
   bool dirty = false;
   bool unsure = false;        // a message came since the last keyframe that was asked for
   bool doubtful = false;      // the session was not polled for long: what is held counts only after an answer to `asking`
