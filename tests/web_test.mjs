@@ -168,6 +168,9 @@ async function client() {
   await until("the line again", () => live.link === "live");
   await until("the surface again", async () => digits(live.cars.get("dented")?.surface.hash ?? 0n) === (await held()));
   assert.ok(live.cars.get("dented") !== dented, "a car of another gateway passes for the same");
+  const poles = () => [...live.obstacles.values()].flatMap(({ list }) => list).length;
+  await until("where the car stands, and the pole, told before this gateway began", () => live.cars.get("dented")?.pose && poles() === 1);
+  assert.deepEqual(live.cars.get("dented").pose, dented.pose);
   await end(server);
   await until("that the server is gone", () => !live.server && live.cars.size === 0);
   live.close();
