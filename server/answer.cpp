@@ -5,6 +5,8 @@
 #include <string>
 #include <string_view>
 
+#include "standby.h"
+
 namespace crumple {
 
 void answer_asset(Net* net, const NetEvent& query, const std::vector<std::shared_ptr<const Car>>& cars) {
@@ -21,6 +23,17 @@ void answer_asset(Net* net, const NetEvent& query, const std::vector<std::shared
   const std::string sentence =
       "asset " + std::string(hash.substr(0, 64)) + " is not here: give its file to `crumple serve --car`";
   net_reply(net, query.ticket, sentence.data(), sentence.size(), 1);
+}
+
+void LatestInputs::keep(const Message& message) {
+  if (messages.size() < 2 * Limits{}.hosts || messages.contains(message.key)) messages[message.key] = message;
+}
+
+void LatestInputs::answer(Net* net, uint64_t ticket) const {
+  Inbox inputs;
+  for (const auto& [key, message] : messages) inputs.push_back(message);
+  const Message answer = inputs_message(0, inputs, 0);
+  net_reply(net, ticket, answer.bytes.data(), answer.bytes.size(), 0);
 }
 
 }  // namespace crumple

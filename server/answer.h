@@ -1,11 +1,14 @@
-// Answers that need no tick: assets, in pieces.
+// Answers that need no tick: assets, in pieces, and what hosts told last.
 #pragma once
 
+#include <map>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "asset/car.h"
 #include "transport/transport.h"
+#include "world.h"
 
 namespace crumple {
 
@@ -16,5 +19,12 @@ inline constexpr size_t asset_piece = size_t{256} << 10;
 
 // key: "crumple/1/asset/{hash}".
 void answer_asset(Net*, const NetEvent&, const std::vector<std::shared_ptr<const Car>>&);
+
+// Of every host its last poses and obstacles, for who comes late: key "inputs". Of as many hosts as a scene may have.
+struct LatestInputs {
+  std::map<std::string, Message, std::less<>> messages;
+  void keep(const Message&);
+  void answer(Net*, uint64_t ticket) const;
+};
 
 }  // namespace crumple

@@ -35,6 +35,7 @@ struct Film {
   // By "car/{id}": what viewers of the film on each level hold now.
   std::map<std::string, std::array<client::Surface, surface_levels.size()>, std::less<>> cars;
   std::string despawning;  // its Command came, its Answer did not
+  LatestInputs latest;
 };
 
 // The keyframe that the next deltas refer to, whole.
@@ -66,6 +67,8 @@ void answer_until(Film& film, Clock::time_point due, const std::atomic<bool>& st
       if (events[i].kind != NET_QUERY) continue;
       if (std::string_view(events[i].key).starts_with("crumple/1/asset/"))
         answer_asset(film.net, events[i], film.file.head().cars);
+      else if (std::string_view(events[i].key).ends_with("/inputs"))
+        film.latest.answer(film.net, events[i].ticket);
       else
         answer_key(film, events[i]);
     }
@@ -110,6 +113,9 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
     const double wait = std::max(0.0, at - options.from) / options.speed;
     answer_until(film, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(wait)), stop);
     net_put(net, (film.root + std::string(item.key)).c_str(), item.bytes.data(), item.bytes.size(), NET_DATA);
+    const auto bytes = std::as_bytes(item.bytes);
+    if (item.channel == Channel::poses || item.channel == Channel::obstacles)
+      film.latest.keep({std::string(item.key), {bytes.begin(), bytes.end()}});
   }
 }
 
@@ -118,6 +124,7 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
 void play_films(Net* net, const ReplayOptions& options, const std::atomic<bool>& stop) {
   net_queryable(net, "crumple/1/*/car/*/key/*", 1'000);
   net_queryable(net, "crumple/1/asset/*", 1'000);
+  net_queryable(net, "crumple/1/*/inputs", 1'000);
   do
     for (const std::string& path : options.files) show(path, options, net, stop);
   while (options.loop && !stop);

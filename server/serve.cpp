@@ -11,7 +11,6 @@
 #include <ctime>
 #include <deque>
 #include <iterator>
-#include <map>
 #include <optional>
 #include <set>
 #include <stdexcept>
@@ -82,7 +81,7 @@ struct Server {
   std::deque<Message> queries;                   // waiting; those for assets with their whole key
   size_t queries_bytes = 0;                      // of them
   uint64_t queries_refused = 0, samples_oversized = 0;
-  std::map<std::string, Message, std::less<>> latest;  // of every host its last poses and obstacles, for who comes late
+  LatestInputs latest;
   Inbox inbox;
   Outbox outbox;
   Pace pace;
@@ -241,17 +240,9 @@ void take(Server& server, const NetEvent& event) {
     server.queries_bytes += message.bytes.size();
     server.queries.push_back(std::move(message));
   } else {
-    const bool has_room = server.latest.size() < 2 * Limits{}.hosts;
-    if (has_room || server.latest.contains(message.key)) server.latest[message.key] = message;
+    server.latest.keep(message);
     server.inbox.push_back(std::move(message));
   }
-}
-
-void answer_latest(const Server& server, uint64_t ticket) {
-  Inbox latest;
-  for (const auto& [key, message] : server.latest) latest.push_back(message);
-  const Message answer = inputs_message(tick_count(*server.world), latest, 0);
-  net_reply(server.net, ticket, answer.bytes.data(), answer.bytes.size(), 0);
 }
 
 // The queries that this tick pays for, before its samples: who spawns a car and moves it at once is understood.
@@ -263,7 +254,7 @@ void admit_queries(Server& server) {
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
     if (next.key == latest_key) {
-      answer_latest(server, next.ticket);
+      server.latest.answer(server.net, next.ticket);
     } else if (next.key.starts_with(asset_root) || next.key == world_key) {
       const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
       const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};

@@ -65,8 +65,10 @@ struct Gateway {
   std::map<std::string, WatchedCar, std::less<>> cars;
   std::map<std::string, Fetched, std::less<>> assets;  // by hash
   std::set<std::string, std::less<>> hosts;            // keys of what they told
-  uint64_t asking = 0;                                 // ticket of the question for what hosts told before; 0: none
-  std::map<uint64_t, std::string> tickets;             // of questions: the id of a car, or the hash of an asset
+  bool late = false;                                   // what hosts told before is wanted
+  uint64_t asking = 0;                                 // ticket of the question for it; 0: none
+  Clock::time_point asked{};
+  std::map<uint64_t, std::string> tickets;  // of questions: the id of a car, or the hash of an asset
 
   ~Gateway() {
     if (net) net_close(net);
@@ -100,7 +102,8 @@ void take_liveliness(Gateway& gateway, std::string_view key, bool alive) {
     gateway.server = alive;
     gateway.hosts.clear();
     need(web_forget(gateway.web, "host/"));
-    if (alive) need(net_get(gateway.net, (gateway.root + "inputs").c_str(), nullptr, 0, keyframe_ms, &gateway.asking));
+    gateway.late = alive;
+    gateway.asking = 0;
   } else {
     const std::string id(key.substr(4));
     gateway.cars.erase(id);
@@ -225,6 +228,7 @@ void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t
 void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Inputs>(bytes);
   if (!message) return;
+  gateway.late = false;
   for (const auto* input : *message->inputs()) {
     const std::string_view key = input->key()->string_view();
     if (key.starts_with("host/") && !gateway.hosts.contains(key))
@@ -233,7 +237,11 @@ void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
 }
 
 void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t> bytes) {
-  if (event.ticket == gateway.asking && event.kind == NET_REPLY && !event.failed) return take_latest(gateway, bytes);
+  if (event.ticket == gateway.asking) {
+    if (event.kind == NET_REPLY_END) gateway.asking = 0;
+    if (event.kind == NET_REPLY && !event.failed) take_latest(gateway, bytes);
+    return;
+  }
   const auto at = gateway.tickets.find(event.ticket);
   if (at == gateway.tickets.end()) return;
   const std::string name = at->second;
@@ -266,6 +274,10 @@ void take(Gateway& gateway, const NetEvent& event) {
 
 void ask(Gateway& gateway) {
   const auto now = Clock::now();
+  if (gateway.late && !gateway.asking && now - gateway.asked >= ask_again) {
+    gateway.asked = now;
+    need(net_get(gateway.net, (gateway.root + "inputs").c_str(), nullptr, 0, keyframe_ms, &gateway.asking));
+  }
   for (auto& [id, car] : gateway.cars) {
     if (!car.wanted || car.asking || now - car.asked < ask_again) continue;
     car.asked = now;
