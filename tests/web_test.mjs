@@ -14,7 +14,7 @@ import { tmpdir } from "node:os";
 import { resolve } from "node:path";
 import { fileURLToPath, pathToFileURL } from "node:url";
 
-const patience = 90_000; // ms, for a machine under load with sanitizers on
+const patience = Number(process.env.PATIENCE ?? 90_000); // ms, for a machine under load with sanitizers on
 const here = fileURLToPath(new URL(".", import.meta.url));
 const [mode, program, car, web] = process.argv.slice(2);
 const { digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
