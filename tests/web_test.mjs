@@ -404,7 +404,7 @@ async function comparison(path) {
 
   // On a phone: all that belongs to it is in the window.
   await opened.setViewportSize({ width: 390, height: 844 });
-  for (const what of ["#names span:nth-child(1)", "#names span:nth-child(2)", "#scrub", "#speed", "#comparison", "#legend"]) {
+  for (const what of ["#names span:nth-child(1)", "#names span:nth-child(2)", "#scrub", "#speed", "#close", "#comparison", "#legend"]) {
     await until(`${what} in a phone's window`, () => opened.evaluate((selector) => {
       const { left, top, right, bottom } = document.querySelector(selector).getBoundingClientRect();
       return left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight && left < right && innerWidth === 390;

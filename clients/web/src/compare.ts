@@ -123,8 +123,10 @@ export class Comparison {
 function couples(left: ReadonlyMap<string, Shown>, right: ReadonlyMap<string, Shown>, names: [string, string], sentences: string[]): [Shown, Shown][] {
   const both = [...left.values()].filter(({ car }) => right.has(car.id)).map((a): [Shown, Shown] => [a, right.get(a.car.id)!]);
   if (!both.length && left.size === 1 && right.size === 1) return [[[...left.values()][0], [...right.values()][0]]];
-  for (const [one, other, name] of [[left, right, names[0]], [right, left, names[1]]] as const)
-    for (const id of one.keys()) if (!other.has(id)) sentences.push(`${id} is only in ${name} now`);
+  for (const [one, other, name] of [[left, right, names[0]], [right, left, names[1]]] as const) {
+    const alone = [...one.keys()].filter((id) => !other.has(id));
+    if (alone.length) sentences.push(`only in ${name} now: ${alone.join(", ")}`);
+  }
   return both;
 }
 

@@ -528,7 +528,11 @@ function show(opened: Opened[], withScene = false): void {
   element("names").hidden = !two;
   element("beside").setAttribute("aria-pressed", String(withScene));
   element("beside").hidden = opened.length !== 1;
-  element("beside").onclick = () => show(opened, !withScene);
+  element("beside").onclick = () => {
+    const went = playing;
+    show(opened, !withScene);
+    playing = went;
+  };
   current = opened;
   follow("");
   resize();
