@@ -212,13 +212,17 @@ Verb add_watch(CLI::App& app, client::WatchOptions& options) {
 Verb add_view(CLI::App& app, ViewOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("view", "Shows a scene, or a recording, in browsers: a page with every car and its dents");
-  CLI::Option* file = verb.add_option("FILE", options.file, "a recording, played again and again; default: a server's scene")
-                          ->check(CLI::ExistingFile)
-                          ->type_name("FILE.mcap");
-  verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
-      ->needs(file)
-      ->check(CLI::Range(0.01, 100.0))
-      ->capture_default_str();
+  CLI::Option* file =
+      verb.add_option("FILE", options.files,
+                      "a recording, played again and again; two: beside each other, their difference as colours; "
+                      "default: a server's scene")
+          ->check(CLI::ExistingFile)
+          ->expected(0, 2)
+          ->type_name("FILE.mcap");
+  CLI::Option* speed = verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
+                           ->needs(file)
+                           ->check(CLI::Range(0.01, 100.0))
+                           ->capture_default_str();
   verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->excludes(file)->capture_default_str();
@@ -228,7 +232,12 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       ->type_name("HOST:PORT")
       ->capture_default_str();
   verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
-  verb.footer("Examples: crumple view\n          crumple view today.mcap --speed 0.25");
+  verb.footer(
+      "Examples: crumple view\n          crumple view today.mcap --speed 0.25\n          crumple view before.mcap after.mcap");
+  verb.callback([speed, &options] {
+    if (options.files.size() > 1 && !speed->empty())
+      throw CLI::ValidationError("--speed", "is of one recording; beside two the page has a choice of its own");
+  });
   return [&options] { return view(options, stop); };
 }
 

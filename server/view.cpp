@@ -5,9 +5,11 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include <cctype>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <cstring>
 #include <exception>
 #include <filesystem>
 #include <fstream>
@@ -296,11 +298,15 @@ void run(Gateway& gateway, const std::atomic<bool>& stop) {
   }
 }
 
+std::string read_file(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
 std::string read_page(std::string path) {
   if (path.empty()) path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "web" / "index.html";
-  std::ifstream file(path, std::ios::binary);
-  const std::string page{std::istreambuf_iterator<char>(file), {}};
-  if (!file || page.empty())
+  const std::string page = read_file(path);
+  if (page.empty())
     throw std::runtime_error(path +
                              ": the page is not there: `server/setup web` makes it in build/web; --page FILE names another");
   return page;
@@ -321,7 +327,7 @@ struct Player {
     thread = std::thread([this, &options] {
       try {
         ReplayOptions replay;
-        replay.files = {options.file};
+        replay.files = options.files;
         replay.speed = options.speed;
         replay.loop = true;
         play_films(net, replay, stop);
@@ -337,6 +343,32 @@ struct Player {
   }
 };
 
+// As a part of a URL.
+std::string encoded(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    char digits[4];
+    std::snprintf(digits, sizeof digits, "%%%02X", static_cast<unsigned char>(c));
+    out += std::isalnum(static_cast<unsigned char>(c)) || std::strchr("-._", c) ? std::string(1, c) : digits;
+  }
+  return out;
+}
+
+// No server, no zenoh: the page reads both by itself.
+void hand_out(Web* web, const ViewOptions& options, const std::atomic<bool>& stop) {
+  std::string query;
+  for (size_t i = 0; i < options.files.size(); ++i) {
+    RecordingReader{options.files[i]};  // throws if it is none
+    const std::string bytes = read_file(options.files[i]), path = "/recording/" + std::to_string(i);
+    need(web_page(web, path.c_str(), "application/octet-stream", reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()));
+    query += (i ? "&recording=" : "?recording=") + encoded(std::filesystem::path(options.files[i]).filename());
+  }
+  std::printf("%s and %s: open http://%s/%s in a browser\n", options.files[0].c_str(), options.files[1].c_str(),
+              web_address(web), query.c_str());
+  std::fflush(stdout);
+  while (!stop) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+}
+
 }  // namespace
 
 int view(const ViewOptions& options, const std::atomic<bool>& stop) {
@@ -345,15 +377,20 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   Gateway gateway;
   gateway.lives = static_cast<uint64_t>(std::chrono::system_clock::now().time_since_epoch() / std::chrono::microseconds(1));
   std::string scene = options.scene, connect = options.connect;
-  if (!options.file.empty()) {
-    scene = RecordingReader(options.file).head().scene;
+  need(web_open(options.listen.c_str(), &gateway.web));
+  need(web_page(gateway.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
+  tell_alive(gateway);
+  const std::string address = web_address(gateway.web);
+  if (is_public(address))
+    std::fprintf(stderr, "crumple view: whoever reaches %s sees this scene; --listen 127.0.0.1:8080 is for this machine only\n",
+                 address.c_str());
+  if (options.files.size() > 1) return hand_out(gateway.web, options, stop), 0;
+  if (!options.files.empty()) {
+    scene = RecordingReader(options.files[0]).head().scene;
     player.start(options);
     connect = net_endpoint(player.net);
   }
   gateway.root = "crumple/1/" + scene + "/";
-  need(web_open(options.listen.c_str(), &gateway.web));
-  need(web_page(gateway.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
-  tell_alive(gateway);
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
@@ -361,12 +398,8 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
     need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 0));
   for (const char* key : {"server", "car/*"}) need(net_watch(gateway.net, (gateway.root + key).c_str()));
-  const std::string address = web_address(gateway.web);
-  if (is_public(address))
-    std::fprintf(stderr, "crumple view: whoever reaches %s sees this scene; --listen 127.0.0.1:8080 is for this machine only\n",
-                 address.c_str());
   std::printf("scene %s of %s: open http://%s/ in a browser\n", scene.c_str(),
-              options.file.empty() ? connect.c_str() : options.file.c_str(), address.c_str());
+              options.files.empty() ? connect.c_str() : options.files[0].c_str(), address.c_str());
   std::fflush(stdout);
   run(gateway, stop);
   return 0;

@@ -4,11 +4,13 @@
 
 #include <atomic>
 #include <string>
+#include <vector>
 
 namespace crumple {
 
 struct ViewOptions {
-  std::string file;  // a recording, played again and again in place of a server's scene; empty: none
+  // One recording: played again and again in place of a server's scene. Two: handed to the page, which compares them.
+  std::vector<std::string> files;
   double speed = 1;  // of it
   std::string connect = "tcp/127.0.0.1:7447";
   std::string network;  // JSON5 of zenoh's own configuration, laid over ours; empty: none

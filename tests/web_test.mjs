@@ -1,14 +1,16 @@
 // The gateway for browsers and its page, as a newcomer has them: real server, real zenoh, `crumple view`.
 //   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
 //   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
+//   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
 //   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
 // WEB: the folder build/web.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
-import { existsSync, readFileSync, writeFileSync } from "node:fs";
+import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { request } from "node:http";
 import { createRequire } from "node:module";
 import { connect } from "node:net";
+import { tmpdir } from "node:os";
 import { resolve } from "node:path";
 import { fileURLToPath, pathToFileURL } from "node:url";
 
@@ -216,27 +218,36 @@ function checkFilm(recording, hash) {
   assert.throws(() => Film.read(new Uint8Array(1000)));
 }
 
-async function page(keep) {
-  const path = chromium();
-  if (!path) {
-    console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
-    return 77;
-  }
-  const recording = resolve(here, "../recordings/m130_wall.mcap");
-  const gateway = view(recording, "--listen", "127.0.0.1:0");
-  const url = await address(gateway);
-  const hash = await lastHash(url);
-  checkFilm(new Uint8Array(readFileSync(recording)), hash);
+// A page at this address, and what its console says.
+async function openPage(path, url, viewport) {
   const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
   const browser = await browsers.launch({
     executablePath: path, args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"], timeout: patience,
   });
-  const opened = await browser.newPage({ viewport: { width: 560, height: 320 } });
+  const opened = await browser.newPage({ viewport });
   opened.setDefaultTimeout(patience);
   const console_ = [];
   opened.on("console", (message) => console_.push(message.text()));
   opened.on("pageerror", (error) => console_.push(`${error}`));
   await opened.goto(url);
+  return { browser, opened, console_ };
+}
+
+async function scrubTo(opened, time) {
+  await opened.evaluate((value) => {
+    const scrub = document.querySelector("#scrub");
+    scrub.value = value;
+    scrub.dispatchEvent(new Event("input"));
+  }, `${time}`);
+}
+
+async function page(path, keep) {
+  const recording = resolve(here, "../recordings/m130_wall.mcap");
+  const gateway = view(recording, "--listen", "127.0.0.1:0");
+  const url = await address(gateway);
+  const hash = await lastHash(url);
+  checkFilm(new Uint8Array(readFileSync(recording)), hash);
+  const { browser, opened, console_ } = await openPage(path, url, { width: 560, height: 320 });
   // The crash is over: the page has its last surface, and the car stands. Then it is stopped there.
   await opened.waitForFunction((wanted) => {
     const { live, shown } = window.crumple, [item] = shown.values();
@@ -265,22 +276,144 @@ async function page(keep) {
   await opened.setInputFiles("#file", recording);
   await opened.waitForFunction(() => window.crumple.film());
   for (const [time, dented] of [[2, true], [0.5, false]]) {
-    await opened.evaluate((value) => {
-      const scrub = document.querySelector("#scrub");
-      scrub.value = value;
-      scrub.dispatchEvent(new Event("input"));
-    }, `${time}`);
+    await scrubTo(opened, time);
     await opened.waitForFunction((wanted) => {
       const [item] = window.crumple.shown.values();
       return item?.mesh && item.mesh.deepest > 0.1 === wanted;
     }, dented);
   }
+
+  // Beside the scene, which has stopped with the whole dent.
+  await opened.keyboard.press("b");
+  await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
+  const deepest = await opened.evaluate(() => [...window.crumple.comparison().pairs[0].shown].map(({ mesh }) => 1000 * mesh.deepest));
+  assert.ok(deepest[0] > 100 && deepest[1] === 0, `deepest ${deepest} mm`);
+  await differBy(opened, deepest[0]);
+  await scrubTo(opened, 2);
+  await differBy(opened, 0);
+  await opened.keyboard.press("b");
+  assert.ok(await opened.isHidden("#comparison"), "key B does not end it");
+
+  // A second recording: beside the first, or alone.
+  for (const [key, names] of [["Escape", 0], ["Enter", 2]]) {
+    await opened.setInputFiles("#file", resolve(here, "../recordings/built_in_pole.mcap"));
+    await opened.waitForSelector("#choice[open]");
+    await opened.keyboard.press(key);
+    await opened.waitForFunction((count) => !document.querySelector("#choice").open && document.querySelectorAll("#names:not([hidden]) span").length === count, names);
+  }
+  await opened.waitForFunction(() => /surfaces of 5786 and 1259 vertices/.test(document.querySelector("#comparison").textContent));
   await opened.click("#close");
   assert.ok(await opened.isHidden("#player"));
   assert.deepEqual(console_, [], "the console is not clean");
   await browser.close();
   await end(gateway);
-  return 0;
+}
+
+// What the page says of the only pair; waits until it does, as text comes four times a second. mm
+async function differBy(opened, largest, rms = null) {
+  const said = async () => (await opened.innerText("#comparison")).match(/differ by ([\d.]+) mm at most, ([\d.]+) mm RMS/)?.slice(1).map(Number);
+  const near = (found, wanted) => wanted === null || Math.abs(found - wanted) < 0.1;
+  let last = null;
+  await until(`a difference of ${largest} mm, ${rms} RMS; the page says ${last}`, async () => (last = await said()) && near(last[0], largest) && near(last[1], rms))
+    .catch(() => assert.fail(`the page says ${last}, not ${largest} mm at most and ${rms} mm RMS`));
+}
+
+// A recording as `crumple export` has it: when the car first touches something, and its surface after any tick (numbers of an OBJ).
+async function exported(recording, folder) {
+  assert.equal(await start("export", recording, "-o", folder, "--fps", "1000").ended, 0);
+  const rows = readFileSync(`${folder}/reactions.csv`, "utf8").trim().split("\n").slice(1).map((row) => row.split(","));
+  const ticks = readdirSync(folder).map((name) => Number(/_(\d+)\.obj$/.exec(name)?.[1] ?? NaN)).filter((tick) => tick >= 0).sort((a, b) => a - b);
+  return {
+    contact: Number(rows.find((row) => Number(row.at(-1)) > 0)[0]),
+    surface(tick) {
+      const name = String(ticks.filter((one) => one <= tick).at(-1)).padStart(6, "0");
+      const lines = readFileSync(`${folder}/car_${name}.obj`, "utf8").split("\n").filter((line) => line.startsWith("v "));
+      return lines.map((line) => line.split(" ").slice(1, 4).map(Number));
+    },
+  };
+}
+
+// In the page: of each vertex of the pair's two cars the colour that it is drawn in.
+function colours() {
+  const [{ shown }] = window.crumple.comparison().pairs;
+  return shown.map(({ mesh }) => {
+    const { position, color } = mesh.geometry.attributes, key = (array, at) => array.slice(at, at + 3).join();
+    const corner = new Map();
+    for (let c = 0; c < position.array.length; c += 3) corner.set(key(position.array, c), [...color.array.slice(c, c + 3)]);
+    return Array.from({ length: mesh.skinned.length / 3 }, (_, v) => corner.get(key(mesh.skinned, 3 * v)));
+  });
+}
+
+// In the page: which of the pair's cars each part of the next frame has, and whether that is the left part.
+function whereDrawn() {
+  const { renderer, comparison } = window.crumple, [{ shown }] = comparison().pairs, { render } = renderer, parts = [];
+  const place = { copy: (rectangle) => rectangle };
+  return new Promise((done) => {
+    renderer.render = (scene, camera) => {
+      render.call(renderer, scene, camera);
+      const visible = (object) => object === scene || (object.visible && visible(object.parent));
+      parts.push({ cars: [0, 1].filter((i) => visible(shown[i].mesh)), left: renderer.getViewport(place).x === 0 });
+      if (parts.length < 2) return;
+      renderer.render = render;
+      done(parts);
+    };
+    document.querySelector("#scrub").dispatchEvent(new Event("input")); // so that there is one
+  });
+}
+
+async function comparison(path) {
+  const folder = mkdtempSync(`${tmpdir()}/crumple_compare_`);
+  const recordings = ["built_in_pole", "built_in_roof_drop"].map((name) => resolve(here, `../recordings/${name}.mcap`));
+  const [a, b] = [await exported(recordings[0], `${folder}/a`), await exported(recordings[1], `${folder}/b`)];
+  const apart = (after) => {
+    const [from, to] = [a.surface(a.contact + after), b.surface(b.contact + after)];
+    const lengths = from.map((at, v) => 1000 * Math.hypot(...at.map((x, k) => x - to[v][k])));
+    return { lengths, largest: Math.max(...lengths), rms: Math.sqrt(lengths.reduce((sum, x) => sum + x * x, 0) / lengths.length) };
+  };
+  const gateway = view(...recordings, "--listen", "127.0.0.1:0");
+  const { browser, opened, console_ } = await openPage(path, await said(gateway, /open (http:\S+) in a browser/), { width: 820, height: 340 });
+  await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
+  assert.deepEqual((await opened.innerText("#names")).split(/\s+/), ["built_in_pole.mcap", "built_in_roof_drop.mcap"]);
+  // In ticks after the first contact: recordings begin with tick 1, and the later contact is where it is on the clock of both.
+  for (const after of [-2, 2, 1, 100]) {
+    const wanted = apart(after);
+    await scrubTo(opened, (Math.max(a.contact, b.contact) - 1 + after) / 60);
+    await differBy(opened, wanted.largest, wanted.rms);
+    console.log(`${after} ticks after contact: ${wanted.largest.toFixed(1)} mm at most, ${wanted.rms.toFixed(1)} mm RMS`);
+  }
+
+  // Colours are those of the legend, at the lengths that it says.
+  const { lengths } = apart(100);
+  const legend = await opened.evaluate(() => [getComputedStyle(document.querySelector("#legend i")).backgroundImage, document.querySelector("#most").textContent]);
+  const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
+  const stops = [...legend[0].matchAll(/rgb\((\d+), (\d+), (\d+)\)/g)].map((stop) => stop.slice(1).map(Number).map(linear));
+  const most = parseFloat(legend[1]);
+  for (const drawn of await opened.evaluate(colours))
+    lengths.forEach((length, v) => {
+      const share = Math.min(1, length / most) * (stops.length - 1), i = Math.min(Math.floor(share), stops.length - 2);
+      const wanted = stops[i].map((x, k) => x + (share - i) * (stops[i + 1][k] - x));
+      assert.ok(wanted.every((x, k) => Math.abs(x - drawn[v][k]) < 0.01), `vertex ${v}, ${length} mm apart, is drawn as ${drawn[v]}, not ${wanted}`);
+    });
+  assert.deepEqual(await opened.evaluate(whereDrawn), [{ cars: [0], left: true }, { cars: [1], left: false }]);
+
+  // The same twice.
+  await opened.setInputFiles("#file", [recordings[0], recordings[0]]);
+  await opened.waitForFunction(() => new Set(window.crumple.comparison().names).size === 1);
+  await scrubTo(opened, 2);
+  await differBy(opened, 0, 0);
+
+  // On a phone: all that belongs to it is in the window.
+  await opened.setViewportSize({ width: 390, height: 844 });
+  for (const what of ["#names span:nth-child(1)", "#names span:nth-child(2)", "#scrub", "#speed", "#close", "#comparison", "#legend"]) {
+    await until(`${what} in a phone's window`, () => opened.evaluate((selector) => {
+      const { left, top, right, bottom } = document.querySelector(selector).getBoundingClientRect();
+      return left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight && left < right && innerWidth === 390;
+    }, what));
+  }
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+  rmSync(folder, { recursive: true });
 }
 
 // In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
@@ -305,7 +438,11 @@ async function compare(pictures) {
 
 let code = 1;
 try {
-  code = (mode === "client" ? await client() : await page(mode === "keep")) ?? 0;
+  const path = chromium();
+  if (mode === "client") await client();
+  else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
+  else await (mode === "compare" ? comparison(path) : page(path, mode === "keep"));
+  code = mode === "client" || path ? 0 : 77;
 } catch (error) {
   console.error(error);
 } finally {

@@ -22,16 +22,18 @@ interface Life {
 }
 
 interface Told {
-  /** s since the first message */
+  /** s since the first tick */
   time: number;
   payload: Uint8Array;
 }
 
 export class Film extends Scene {
-  /** s */
+  /** s, of its ticks: a late one takes no longer than any other. */
   duration = 0;
   /** Where it stands, s. */
   time = 0;
+  /** Of the first tick in which a car touched something, s; null: none did. */
+  firstContact: number | null = null;
 
   #told = new Map<string, Told[]>(); // by key, in order of time
   #taken = new Map<string, Told>(); // by key: what the scene has
@@ -49,15 +51,16 @@ export class Film extends Scene {
     const film = new Film();
     const reader = new McapStreamReader({ decompressHandlers: { lz4: (data, size) => decompress(data, Number(size)) } });
     const topics = new Map<number, string>();
-    let first: bigint | null = null;
+    let first: number | null = null, rate = 60;
     reader.append(bytes);
     for (let record; (record = reader.nextRecord()); ) {
       if (record.type === "Channel") topics.set(record.id, record.topic.split("/").slice(3).join("/"));
       if (record.type === "Attachment" && record.mediaType === "application/vnd.crumple.car")
         film.give(record.name, readCar(record.data.slice(), record.name));
+      if (record.type === "Metadata") rate = Number(record.metadata.get("rate")) || rate;
       if (record.type !== "Message") continue;
-      first ??= record.logTime;
-      const time = Number(record.logTime - first) / 1e9;
+      first ??= record.sequence; // the tick
+      const time = Math.max(0, record.sequence - first) / rate;
       film.duration = Math.max(film.duration, time);
       film.#tell(topics.get(record.channelId) ?? "", { time, payload: record.data.slice() });
     }
@@ -109,6 +112,7 @@ export class Film extends Scene {
     for (const { car, impulse, contacts } of readReactions(told.payload)?.cars ?? []) {
       this.#add(`car/${car}/reactions`, told);
       if (contacts === 0) continue;
+      this.firstContact ??= told.time;
       const size = Math.hypot(...impulse), peak = this.#peaks.get(car);
       const another = !peak || told.time - peak.time > hitEnds;
       this.#peaks.set(car, { impulse: another ? size : Math.max(size, peak.impulse), time: told.time });

@@ -2,10 +2,11 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import { BothClocks, Comparison, halves, type Clock, type Rectangle } from "./compare.js";
 import { Shape, type Pose } from "./decode.js";
 import { Film } from "./film.js";
 import { Live } from "./live.js";
-import type { LiveCar, Scene } from "./scene.js";
+import { Scene, type LiveCar } from "./scene.js";
 import { CarMesh, obstacleGeometry } from "./three.js";
 
 // Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
@@ -22,6 +23,9 @@ const canvas = element<HTMLCanvasElement>("canvas");
 const live = new Live(location.href);
 let film: Film | null = null;
 let source: Scene = live; // what is shown: one of the two
+let comparison: Comparison | null = null; // of it and of what is beside it
+const empty = new Scene();
+let beside: Scene = empty;
 
 // ---- the scene ----
 
@@ -86,6 +90,18 @@ function place(object: THREE.Object3D, pose: Pose): void {
 
 // ---- cars ----
 
+/** What a view shows of its scene. */
+class Stage {
+  readonly group = new THREE.Group();
+  readonly cars = new Map<string, ShownCar>();
+  readonly obstacles = new Map<string, { list: unknown; group: THREE.Group }>(); // by host
+  about: { center: THREE.Vector3; radius: number } | null = null;
+
+  constructor(readonly source: () => Scene) {
+    scene.add(this.group);
+  }
+}
+
 class ShownCar {
   readonly group = new THREE.Group();
   readonly arrow = makeArrow();
@@ -96,7 +112,7 @@ class ShownCar {
   #painted = -1;
   #extent = new THREE.Box3();
 
-  constructor(readonly car: LiveCar, readonly colour: string) {
+  constructor(readonly car: LiveCar, readonly colour: string, readonly stage: Stage) {
     for (const item of [this.label, this.row]) item.style.setProperty("--paint", colour);
     this.label.className = "label";
     this.label.textContent = car.id;
@@ -104,13 +120,13 @@ class ShownCar {
     this.row.querySelector(".name")!.textContent = car.id;
     this.row.onclick = () => follow(car.id);
     element("labels").append(this.label);
-    element("cars").append(this.row);
-    scene.add(this.group, this.arrow);
+    if (stage === first) element("cars").append(this.row);
+    stage.group.add(this.group, this.arrow);
     this.group.visible = false;
   }
 
   remove(): void {
-    scene.remove(this.group, this.arrow);
+    this.stage.group.remove(this.group, this.arrow);
     this.mesh?.geometry.dispose();
     this.mesh?.material.dispose();
     this.label.remove();
@@ -135,15 +151,16 @@ class ShownCar {
   }
 
   #paint(mesh: CarMesh): void {
-    const material = mesh.material as THREE.MeshStandardMaterial;
-    if (material.vertexColors !== heatOn) {
-      material.vertexColors = heatOn;
-      material.color.set(heatOn ? "#ffffff" : this.colour);
-      material.roughness = heatOn ? 0.7 : 0.3;
+    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOn && (!comparison || comparison.has(this));
+    if (material.vertexColors !== heated) {
+      material.vertexColors = heated;
+      material.color.set(heated ? "#ffffff" : this.colour);
+      material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
       this.#painted = -1;
     }
-    if (!heatOn || this.#painted === this.#version) return;
+    if (comparison) this.#painted = -1; // it paints by itself
+    if (!heated || comparison || this.#painted === this.#version) return;
     mesh.paint(heat, heatMost);
     this.#painted = this.#version;
   }
@@ -163,7 +180,7 @@ class ShownCar {
 
   /** Of that tick of the last hit, in g. */
   get deceleration(): number {
-    const { peak, baked } = this.car, rate = source.health?.rate || 60;
+    const { peak, baked } = this.car, rate = this.stage.source().health?.rate || 60;
     return peak && baked ? (Math.hypot(...peak.impulse) * rate) / baked.mass / gravity : 0;
   }
 
@@ -195,25 +212,27 @@ function stretch(arrow: THREE.Group, length: number, opacity: number): void {
   shaft.material.opacity = opacity; // both have this one
 }
 
-const shown = new Map<string, ShownCar>();
+const first = new Stage(() => source), second = new Stage(() => beside), stages = [first, second];
+const shown = first.cars;
 let hadCars = false;
 
 // The first that no car has, or that the fewest have.
-function freePaint(): string {
-  const uses = (paint: string) => [...shown.values()].filter(({ colour }) => colour === paint).length;
+function freePaint(stage: Stage): string {
+  const uses = (paint: string) => [...stage.cars.values()].filter(({ colour }) => colour === paint).length;
   return paints.reduce((best, paint) => (uses(paint) < uses(best) ? paint : best));
 }
 
-function updateCars(now: number): void {
+function updateCars(stage: Stage): void {
+  const source = stage.source(), shown = stage.cars;
   for (const [id, item] of shown)
     if (source.cars.get(id) !== item.car) {
       item.remove();
       shown.delete(id);
     }
   for (const [id, car] of source.cars) {
-    if (!shown.has(id)) shown.set(id, new ShownCar(car, freePaint()));
+    if (!shown.has(id)) shown.set(id, new ShownCar(car, freePaint(stage), stage));
     hadCars = true;
-    shown.get(id)!.update(now);
+    shown.get(id)!.update(source.now());
   }
 }
 
@@ -223,22 +242,22 @@ const concrete = new THREE.MeshStandardMaterial({ color: "#b3aea4", roughness: 0
 const steel = new THREE.MeshStandardMaterial({ color: "#4d5358", roughness: 0.45, metalness: 0.6 });
 const ghost = new THREE.MeshBasicMaterial({ color: "#8c8778", transparent: true, opacity: 0.13, depthWrite: false });
 const edge = new THREE.LineBasicMaterial({ color: "#5b5f63" });
-const obstacles = new Map<string, { list: unknown; group: THREE.Group }>();
 
-function updateObstacles(now: number): boolean {
+function updateObstacles({ source: current, obstacles, group }: Stage): boolean {
+  const source = current(), now = source.now();
   let moving = false;
   for (const [host, item] of obstacles)
     if (!source.obstacles.has(host)) {
-      scene.remove(item.group);
+      group.remove(item.group);
       obstacles.delete(host);
     }
   for (const [host, { list, at }] of source.obstacles) {
     let item = obstacles.get(host);
     if (item?.list !== list) {
-      if (item) scene.remove(item.group);
+      if (item) group.remove(item.group);
       item = { list, group: new THREE.Group() };
       obstacles.set(host, item);
-      scene.add(item.group);
+      group.add(item.group);
       for (const obstacle of list) item.group.add(makeObstacle(obstacle));
     }
     list.forEach((obstacle, i) => {
@@ -272,10 +291,10 @@ function makeObstacle(obstacle: Parameters<typeof obstacleGeometry>[0]): THREE.O
 
 // What stands between the eye and a car is seen through.
 const ray = new THREE.Raycaster();
-function seeThrough(): void {
+function seeThrough({ obstacles, cars }: Stage): void {
   const meshes = [...obstacles.values()].flatMap(({ group }) => group.children).filter((object) => object instanceof THREE.Mesh);
   for (const mesh of meshes) mesh.material = mesh.userData.solid;
-  for (const { mesh, center } of [...shown.values()].map((item) => ({ mesh: item.mesh, center: item.center() }))) {
+  for (const { mesh, center } of [...cars.values()].map((item) => ({ mesh: item.mesh, center: item.center() }))) {
     if (!mesh) continue;
     ray.set(camera.position, center.clone().sub(camera.position).normalize());
     ray.far = center.distanceTo(camera.position);
@@ -297,9 +316,9 @@ function follow(id: string): void {
 }
 
 /** What the view is about: its middle, and the radius of what should be seen; null: nothing new. */
-function subject(now: number): { center: THREE.Vector3; radius: number } | null {
-  const all = [...shown.values()].filter((item) => item.mesh);
-  const moving = (item: ShownCar) => Math.hypot(...item.car.velocity) > 0.3 || now - item.car.hitAt < 3000;
+function subject(stage: Stage): Stage["about"] {
+  const all = [...stage.cars.values()].filter((item) => item.mesh), now = stage.source().now();
+  const moving = ({ car }: ShownCar) => Math.hypot(...car.velocity) > 0.3 || now - car.hitAt < 3000;
   let cars = all.filter((item) => (followed ? item.car.id === followed : moving(item)));
   if (!cars.length && !framed) cars = all;
   if (!cars.length) return null;
@@ -326,14 +345,14 @@ function light(): void {
 }
 
 // Goes along with it: turning and nearing stay the user's.
-let about: { center: THREE.Vector3; radius: number } | null = null;
-function updateView(now: number, seconds: number): boolean {
-  about = subject(now) ?? about; // also when it stands before the view has come there
+function updateView(seconds: number): boolean {
+  for (const stage of stages) stage.about = subject(stage) ?? stage.about; // also when it stands before the view has come there
+  const { about } = first;
   if (!about) return false;
   const step = about.center.clone().sub(controls.target);
   if (!framed) {
-    const { width, height } = free();
-    look(about.center, about.radius, Math.min(width, height) / innerHeight);
+    const { width, height } = views?.[0] ?? free();
+    look(about.center, about.radius, Math.min(width, height) / (views ? height : innerHeight));
     framed = true;
     return true;
   }
@@ -345,27 +364,31 @@ function updateView(now: number, seconds: number): boolean {
 }
 
 /** The part of the window that the panel leaves. */
-function free(): { width: number; height: number; left: number; top: number } {
+function free(): Rectangle {
   const panel = element("panel").getBoundingClientRect();
-  const beside = innerWidth > 720;
-  return { left: 0, top: 0, width: beside ? panel.left : innerWidth, height: beside ? innerHeight : panel.top };
+  if (innerWidth > 720) return { left: 0, top: 0, width: panel.left, height: innerHeight };
+  const top = comparison ? element("player").getBoundingClientRect().bottom : 0;
+  return { left: 0, top, width: innerWidth, height: Math.max(panel.top - top, 1) };
 }
 
+let views: Rectangle[] | null = null; // while there are two
 function resize(): void {
   const { width, height } = free();
   renderer.setSize(innerWidth, innerHeight, false);
-  camera.aspect = innerWidth / innerHeight;
+  views = comparison && showNames(halves(free()));
+  camera.aspect = views ? views[0].width / views[0].height : innerWidth / innerHeight;
   // The middle of the picture is the middle of what is free.
-  camera.setViewOffset(innerWidth, innerHeight, (innerWidth - width) / 2, (innerHeight - height) / 2, innerWidth, innerHeight);
+  if (views) camera.clearViewOffset();
+  else camera.setViewOffset(innerWidth, innerHeight, (innerWidth - width) / 2, (innerHeight - height) / 2, innerWidth, innerHeight);
   camera.updateProjectionMatrix();
   wake();
 }
 
-function updateLabels(): void {
-  for (const item of shown.values()) {
-    const at = item.top().project(camera), seen = item.group.visible && at.z < 1;
+function updateLabels({ cars }: Stage, { left, top, width, height }: Rectangle): void {
+  for (const item of cars.values()) {
+    const at = item.top().project(camera), seen = item.group.visible && at.z < 1 && (!views || Math.max(Math.abs(at.x), Math.abs(at.y)) < 1);
     item.label.hidden = !seen;
-    const x = ((at.x + 1) / 2) * innerWidth, y = ((1 - at.y) / 2) * innerHeight;
+    const x = left + ((at.x + 1) / 2) * width, y = top + ((1 - at.y) / 2) * height;
     item.label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -100%)`;
   }
 }
@@ -377,9 +400,9 @@ const round = (value: number, places = 0) => value.toFixed(places);
 function updatePanel(now: number): void {
   const age = (at: number) => (at ? `${round(Math.max(0, now - at) / 1000, 1)} s ago` : "never");
   const link = element("link");
-  const state = film ? "recording" : live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
+  const state = source !== live ? (comparison ? "two recordings" : "recording") : live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
   link.textContent = state;
-  link.className = film || state === "live" ? "" : "lost";
+  link.className = source !== live || state === "live" ? "" : "lost";
   element("hint").textContent = film || state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
   for (const item of shown.values()) {
     const { car } = item, [first, second] = item.row.querySelectorAll("small");
@@ -390,7 +413,11 @@ function updatePanel(now: number): void {
     item.row.setAttribute("aria-pressed", String(followed === car.id));
   }
   updateServer(age);
-  const credits = new Set([...shown.values()].map((item) => item.car.baked?.attribution).filter(Boolean));
+  element("comparison").hidden = !comparison;
+  if (comparison) element("comparison").replaceChildren(...comparison.lines().map((line) => Object.assign(document.createElement("p"), { textContent: line })));
+  element("heat").textContent = comparison ? "Colour difference" : "Colours by dent";
+  element("most").textContent = `${1000 * (comparison?.most ?? heatMost)} mm`;
+  const credits = new Set(stages.flatMap(({ cars }) => [...cars.values()]).map((item) => item.car.baked?.attribution).filter(Boolean));
   element("credits").textContent = [...credits, ...live.trouble.values()].join("; ");
 }
 
@@ -430,11 +457,12 @@ function press(id: string, action: () => void): void {
     wake();
   };
 }
-press("heat", () => {
-  heatOn = !heatOn;
+press("heat", () => colour(!heatOn));
+function colour(on: boolean): void {
+  heatOn = on;
   element("heat").setAttribute("aria-pressed", String(heatOn));
   element("legend").hidden = !heatOn;
-});
+}
 press("all", () => follow(""));
 press("fold", () => {
   const details = element("details");
@@ -457,11 +485,11 @@ function turn(azimuth: number, polar: number, nearer: number): void {
 const keys: Record<string, () => void> = {
   ArrowLeft: () => turn(-0.1, 0, 1), ArrowRight: () => turn(0.1, 0, 1), ArrowUp: () => turn(0, -0.07, 1), ArrowDown: () => turn(0, 0.07, 1),
   "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
-  " ": () => film && element("play").click(), o: () => element("open").click(),
+  " ": () => clock && element("play").click(), o: () => element("open").click(), b: () => element("beside").click(),
   c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
 };
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.ctrlKey || event.altKey || event.metaKey || choice.open) return;
   if (event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement || (event.key === " " && event.target instanceof HTMLButtonElement)) return;
   const car = /^[1-9]$/.test(event.key) ? [...shown.keys()][Number(event.key) - 1] : undefined;
   const action = car ? () => follow(car) : keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
@@ -474,55 +502,107 @@ addEventListener("keydown", (event) => {
 // ---- recordings ----
 
 const scrub = element<HTMLInputElement>("scrub"), speed = element<HTMLSelectElement>("speed"), file = element<HTMLInputElement>("file");
+const choice = element<HTMLDialogElement>("choice");
 let playing = false;
+let clock: Clock | null = null; // of the recordings that are shown
 
-function show(next: Film | null, name = ""): void {
-  film = next;
-  source = next ?? live;
-  playing = next !== null;
-  element("player").hidden = !next;
-  element("name").textContent = name;
+interface Opened {
+  name: string;
+  film: Film;
+}
+let current: Opened[] = [];
+
+/** Recordings, the first in place of the scene; or one, and beside it the scene as it is now. */
+function show(opened: Opened[], withScene = false): void {
+  const [one, two] = withScene ? [null, ...opened] : opened;
+  film = opened[0]?.film ?? null;
+  source = one?.film ?? live;
+  beside = two?.film ?? empty;
+  comparison = two ? new Comparison([one?.name ?? "the live scene", two.name], one && new BothClocks(one.film, two.film)) : null;
+  clock = comparison?.clock ?? film;
+  playing = clock !== null;
+  for (const stage of stages) stage.about = null;
+  if (two) colour(true);
+  element("player").hidden = !clock;
+  element("name").textContent = opened.map(({ name }) => name).join(", ");
+  element("names").hidden = !two;
+  element("beside").setAttribute("aria-pressed", String(withScene));
+  element("beside").hidden = opened.length !== 1;
+  element("beside").onclick = () => {
+    const went = playing;
+    show(opened, !withScene);
+    playing = went;
+  };
+  current = opened;
   follow("");
   resize();
 }
 
-async function open(recording: File | undefined): Promise<void> {
-  if (!recording) return;
-  try {
-    show(Film.read(new Uint8Array(await recording.arrayBuffer())), recording.name);
-  } catch (error) {
-    element("hint").textContent = "";
-    alert(`${recording.name} cannot be shown: ${error instanceof Error ? error.message : error}`);
-  }
+function showNames(parts: Rectangle[]): Rectangle[] {
+  element("names").replaceChildren(...parts.map(({ left, top }, i) => {
+    const name = document.createElement("span");
+    name.textContent = comparison!.names[i];
+    name.style.transform = `translate(${left}px, ${top}px)`;
+    return name;
+  }));
+  return parts;
+}
+
+async function open(files: Iterable<{ name: string; arrayBuffer(): Promise<ArrayBuffer> }>): Promise<void> {
+  const opened: Opened[] = [];
+  for (const recording of [...files].slice(0, 2))
+    try {
+      opened.push({ name: recording.name, film: Film.read(new Uint8Array(await recording.arrayBuffer())) });
+    } catch (error) {
+      element("hint").textContent = "";
+      alert(`${recording.name} cannot be shown: ${error instanceof Error ? error.message : error}`);
+    }
+  if (opened.length === 1 && current.length) choose(current[0], opened[0]);
+  else if (opened.length) show(opened);
+}
+
+function choose(before: Opened, next: Opened): void {
+  element("both").textContent = `Compare with ${before.name}`;
+  choice.querySelector("p")!.textContent = next.name;
+  choice.returnValue = "";
+  choice.onclose = () => choice.returnValue && show(choice.returnValue === "both" ? [before, next] : [next]);
+  choice.showModal();
 }
 
 // At the end it stands.
-function play(shownFilm: Film, seconds: number): void {
-  if (playing) shownFilm.seek(shownFilm.time + seconds * Number(speed.value));
-  if (shownFilm.time >= shownFilm.duration) playing = false;
-  scrub.max = String(shownFilm.duration);
-  if (playing) scrub.value = String(shownFilm.time);
-  element("time").textContent = `${round(shownFilm.time, 2)} of ${round(shownFilm.duration, 2)} s`;
+function play(clock: Clock, seconds: number): void {
+  if (playing) clock.seek(clock.time + seconds * Number(speed.value));
+  if (clock.time >= clock.duration) playing = false;
+  scrub.max = String(clock.duration);
+  if (playing) scrub.value = String(clock.time);
+  element("time").textContent = `${round(clock.time, 2)} of ${round(clock.duration, 2)} s`;
   const label = playing ? "Pause" : "Play";
   if (element("play").textContent !== label) element("play").textContent = label;
 }
 
 press("open", () => file.click());
-file.onchange = () => void open(file.files?.[0]);
-press("close", () => show(null));
+file.onchange = () => {
+  void open([...file.files!]);
+  file.value = ""; // so that the same one can be chosen again
+};
+press("close", () => show([]));
 press("play", () => {
-  if (film && film.time >= film.duration) film.seek(0);
+  if (clock && clock.time >= clock.duration) clock.seek(0);
   playing = !playing;
 });
 scrub.oninput = () => {
   playing = false;
-  film?.seek(Number(scrub.value));
+  clock?.seek(Number(scrub.value));
 };
 addEventListener("dragover", (event) => event.preventDefault());
 addEventListener("drop", (event) => {
   event.preventDefault();
-  void open(event.dataTransfer?.files[0]);
+  void open(event.dataTransfer?.files ?? []);
 });
+// Those that `crumple view A.mcap B.mcap` hands out.
+void open(new URLSearchParams(location.search).getAll("recording").map((name, i) => ({
+  name, arrayBuffer: async () => (await fetch(new URL(`recording/${i}`, location.href))).arrayBuffer(),
+})));
 
 // ---- the loop ----
 
@@ -542,10 +622,10 @@ function coarsen(period: number): void {
 
 function frame(now: number): void {
   requestAnimationFrame(frame);
-  if (film) play(film, Math.min(1, (now - calledAt) / 1000));
+  if (clock) play(clock, Math.min(1, (now - calledAt) / 1000));
   calledAt = now;
-  if (version !== source.version) wake();
-  version = source.version;
+  if (version !== source.version + beside.version) wake();
+  version = source.version + beside.version;
   if (now - panelAt > panelPeriod) {
     panelAt = now;
     updatePanel(source.now());
@@ -554,16 +634,40 @@ function frame(now: number): void {
   const period = now - drawnAt, seconds = Math.min(1, period / 1000);
   drawnAt = now;
   coarsen(period);
-  updateCars(source.now());
-  if (updateObstacles(source.now())) wake();
+  for (const stage of stages) {
+    updateCars(stage);
+    if (updateObstacles(stage)) wake();
+  }
+  comparison?.update(first.cars, second.cars, heatOn ? heat : null);
   scene.updateMatrixWorld();
-  if (updateView(source.now(), seconds)) wake();
+  if (updateView(seconds)) wake();
   controls.update();
   light();
   camera.updateMatrixWorld();
-  seeThrough();
-  updateLabels();
+  if (views) return views.forEach(drawPart);
+  seeThrough(first);
+  updateLabels(first, { left: 0, top: 0, width: innerWidth, height: innerHeight });
   renderer.render(scene, camera);
+}
+
+// One camera for both: what each is about is seen from the same side and as far away, wherever it is.
+function drawPart(part: Rectangle, i: number): void {
+  const stage = stages[i], { position } = camera, at = position.clone(), target = controls.target.clone();
+  if (stage.about && first.about) for (const vector of [position, controls.target]) vector.add(stage.about.center).sub(first.about.center);
+  camera.updateMatrixWorld();
+  light();
+  seeThrough(stage);
+  updateLabels(stage, part);
+  for (const { group } of stages) group.visible = group === stage.group;
+  const place = [part.left, innerHeight - part.top - part.height, part.width, part.height] as const; // three counts from the bottom
+  renderer.setViewport(...place);
+  renderer.setScissor(...place);
+  renderer.setScissorTest(true);
+  renderer.render(scene, camera);
+  renderer.setScissorTest(false);
+  for (const { group } of stages) group.visible = true;
+  position.copy(at);
+  controls.target.copy(target);
 }
 
 controls.addEventListener("change", wake);
@@ -584,7 +688,7 @@ function picture(): string {
   scene.updateMatrixWorld();
   look(item.center(), 0.7 * item.radius, 1);
   light();
-  seeThrough();
+  seeThrough(first);
   renderer.render(scene, camera);
   const [, png] = canvas.toDataURL().split(",");
   resize();
@@ -592,4 +696,4 @@ function picture(): string {
 }
 
 // For tests and for whoever is curious at the console.
-Object.assign(window, { crumple: { live, shown, picture, film: () => film } });
+Object.assign(window, { crumple: { live, shown, picture, renderer, film: () => film, comparison: () => comparison } });

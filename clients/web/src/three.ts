@@ -14,6 +14,8 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
   readonly moved: Float32Array;
   /** Of the vertex that moved most, m. */
   deepest = 0;
+  /** How often it was brought up to a surface. */
+  updates = 0;
   #triangle: Uint32Array; // in corners: a vertex, once for each side of a crease
   #vertexOf: Uint32Array; // of a corner
 
@@ -38,6 +40,7 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
   /** False: the surface is not of this car. Normals follow it; what is a crease was decided at rest. */
   update(surface: { quanta: Int16Array; quantum: number }): boolean {
     if (!skin(this.baked, surface, this.skinned)) return false;
+    ++this.updates;
     const rest = this.baked.vertex, now = this.skinned;
     this.deepest = 0;
     for (let v = 0; v < this.moved.length; ++v) {
@@ -58,11 +61,11 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
     return true;
   }
 
-  /** Vertex colours by how far each has moved: for a material with vertexColors. `most` m has the last colour. */
-  paint(colours: readonly THREE.Color[], most: number): void {
+  /** Vertex colours by how far each has moved, or by other lengths: for a material with vertexColors. `most` m has the last colour. */
+  paint(colours: readonly THREE.Color[], most: number, lengths = this.moved): void {
     const { color } = this.geometry.attributes;
     for (let c = 0; c < this.#vertexOf.length; ++c) {
-      const share = Math.min(1, this.moved[this.#vertexOf[c]] / most) * (colours.length - 1);
+      const share = Math.min(1, lengths[this.#vertexOf[c]] / most) * (colours.length - 1);
       const i = Math.min(Math.floor(share), colours.length - 2);
       mixed.lerpColors(colours[i], colours[i + 1], share - i);
       color.setXYZ(c, mixed.r, mixed.g, mixed.b);

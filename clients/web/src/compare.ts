@@ -1,0 +1,160 @@
+// Two scenes beside each other: two recordings on one clock, or the live scene and a recording. What differs is the distance between
+// the two places of a vertex, each in its own car's frame: so it is about shape, wherever the cars stand.
+import * as THREE from "three";
+import type { BakedCar } from "./baked.js";
+import type { Film } from "./film.js";
+import type { LiveCar } from "./scene.js";
+import type { CarMesh } from "./three.js";
+
+export interface Clock {
+  /** s */
+  readonly time: number;
+  readonly duration: number;
+  seek(seconds: number): void;
+}
+
+/**
+ * Both at their first contact at the same moment: recordings begin when a server was started, some time before anything happens, and
+ * a crash of which one is a tick ahead differs by what a tick does. Where one has no contact both begin together.
+ */
+export class BothClocks implements Clock {
+  time = 0;
+  readonly duration: number;
+  /** How a reader is told. */
+  readonly aligned: string;
+  #ahead: [number, number]; // s that each waits until it begins
+
+  constructor(readonly first: Film, readonly second: Film) {
+    const [a, b] = [first.firstContact, second.firstContact];
+    this.#ahead = a === null || b === null ? [0, 0] : [Math.max(0, b - a), Math.max(0, a - b)];
+    this.aligned = a === null || b === null ? "both begin together: one has no contact" : "first contacts at the same moment";
+    this.duration = Math.max(first.duration + this.#ahead[0], second.duration + this.#ahead[1]);
+    this.seek(0);
+  }
+
+  seek(seconds: number): void {
+    this.time = Math.min(Math.max(seconds, 0), this.duration);
+    const past = 1e-6; // s, so that rounding does not put one of them before a tick that the other has
+    [this.first, this.second].forEach((film, i) => film.seek(this.time - this.#ahead[i] + past));
+  }
+}
+
+export interface Rectangle {
+  left: number;
+  top: number;
+  width: number;
+  height: number;
+}
+
+/** Beside each other, or on a phone, one above the other. */
+export function halves({ left, top, width, height }: Rectangle): Rectangle[] {
+  if (width > 480) return [0, 1].map((i) => ({ left: left + (i * width) / 2, top, width: width / 2, height }));
+  return [0, 1].map((i) => ({ left, top: top + (i * height) / 2, width, height: height / 2 }));
+}
+
+/** A car as a page shows it. */
+interface Shown {
+  car: LiveCar;
+  mesh: CarMesh | null;
+}
+
+interface Pair {
+  shown: [Shown, Shown];
+  versions: [number, number];
+  /** m, a vertex */
+  apart: Float32Array;
+  largest: number;
+  rms: number;
+}
+
+/** Last colour of the scale, m. */
+const scales = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5];
+
+export class Comparison {
+  /** m. Grows with what was found, and stays: a colour means the same at every moment. */
+  most = scales[0];
+  /** About cars that have no difference to show: a sentence each. */
+  sentences: string[] = [];
+  pairs: Pair[] = [];
+  #colours: readonly THREE.Color[] | null = null;
+
+  /** clock: null where one of them is the live scene, which is shown as it is now; the recording has a clock of its own. */
+  constructor(readonly names: [string, string], readonly clock: BothClocks | null) {}
+
+  /** Finds pairs and what differs, and paints both cars of each with it, unless `colours` is null. */
+  update(left: ReadonlyMap<string, Shown>, right: ReadonlyMap<string, Shown>, colours: readonly THREE.Color[] | null): void {
+    const before = this.pairs;
+    this.pairs = [];
+    this.sentences = [];
+    for (const shown of couples(left, right, this.names, this.sentences)) {
+      const [a, b] = shown.map(({ mesh }) => mesh);
+      if (!a || !b) continue; // its asset is on its way
+      const known = before.find((pair) => pair.shown.every((one, i) => one === shown[i]));
+      const trouble = known ? "" : differs(a.baked, b.baked);
+      if (trouble) this.sentences.push(`${shown[0].car.id}: ${trouble}`);
+      else this.pairs.push(known ?? makePair(shown, a));
+    }
+    const changed = this.pairs.filter(measure);
+    const needed = Math.max(0, ...this.pairs.map(({ largest }) => largest));
+    const most = Math.max(this.most, scales.find((scale) => scale >= needed) ?? scales.at(-1)!);
+    const again = most !== this.most || colours !== this.#colours;
+    this.most = most;
+    this.#colours = colours;
+    if (colours)
+      for (const { shown, apart } of again ? this.pairs : changed) for (const { mesh } of shown) mesh!.paint(colours, most, apart);
+  }
+
+  /** What is found, for a reader. */
+  lines(): string[] {
+    const mm = (metres: number) => `${(1000 * metres).toFixed(1)} mm`;
+    const found = this.pairs.map(({ shown, largest, rms }) => {
+      const [a, b] = shown.map(({ car }) => car.id);
+      return `${a === b ? a : `${a} and ${b}`}: differ by ${mm(largest)} at most, ${mm(rms)} RMS`;
+    });
+    return [...found, ...this.sentences, this.clock?.aligned ?? "the live scene as it is now, the recording at its own time"];
+  }
+
+  has(one: Shown): boolean {
+    return this.pairs.some(({ shown }) => shown.includes(one));
+  }
+}
+
+// By id; where none is the same, the only car of each.
+function couples(left: ReadonlyMap<string, Shown>, right: ReadonlyMap<string, Shown>, names: [string, string], sentences: string[]): [Shown, Shown][] {
+  const both = [...left.values()].filter(({ car }) => right.has(car.id)).map((a): [Shown, Shown] => [a, right.get(a.car.id)!]);
+  if (!both.length && left.size === 1 && right.size === 1) return [[[...left.values()][0], [...right.values()][0]]];
+  for (const [one, other, name] of [[left, right, names[0]], [right, left, names[1]]] as const) {
+    const alone = [...one.keys()].filter((id) => !other.has(id));
+    if (alone.length) sentences.push(`only in ${name} now: ${alone.join(", ")}`);
+  }
+  return both;
+}
+
+function differs(a: BakedCar, b: BakedCar): string {
+  const [count, other] = [a, b].map(({ vertex }) => vertex.length / 3);
+  if (count !== other) return `surfaces of ${count} and ${other} vertices: not the same car, so nothing to compare one to one`;
+  return a === b || a.vertex.every((x, i) => x === b.vertex[i]) ? "" : `both surfaces have ${count} vertices, but not at the same places when undamaged`;
+}
+
+function makePair(shown: [Shown, Shown], { moved }: CarMesh): Pair {
+  return { shown, versions: [-1, -1], apart: new Float32Array(moved.length), largest: 0, rms: 0 };
+}
+
+/** False: neither surface has changed. */
+function measure(pair: Pair): boolean {
+  const { shown, versions, apart } = pair;
+  if (shown.every(({ mesh }, i) => mesh!.updates === versions[i])) return false;
+  const [a, b] = shown.map(({ mesh }) => mesh!.skinned);
+  let most = 0, sum = 0;
+  for (let v = 0; v < apart.length; ++v) {
+    const x = a[3 * v] - b[3 * v], y = a[3 * v + 1] - b[3 * v + 1], z = a[3 * v + 2] - b[3 * v + 2];
+    const squared = x * x + y * y + z * z;
+    sum += squared;
+    most = Math.max(most, squared);
+    apart[v] = Math.sqrt(squared);
+  }
+  pair.versions = [shown[0].mesh!.updates, shown[1].mesh!.updates];
+  pair.largest = Math.sqrt(most);
+  pair.rms = Math.sqrt(sum / apart.length);
+  return true;
+}
