@@ -98,6 +98,21 @@ class Cpp(WithViewers):
         self.assertRegex(output(CLIENTS / "examples/host", self.endpoint, CAR), "kJ", "a second time: it took its car away")
         self.assertGreater(int(re.search(r"dent (\d+) mm", self.end(viewer)).group(1)), 100)
 
+    def test_a_header_and_the_library_are_all_that_c_and_cpp_need(self):
+        for file in (ROOT / "clients/cpp/crumple_client.h", LIBRARY):
+            shutil.copy(file, self.folder)
+        (self.folder / "open.c").write_text('''#include <stdio.h>
+#include "crumple_client.h"
+int main(void) {
+  CrumpleOptions options = {CRUMPLE_CLIENT_VERSION + 1, 0, NULL, "main", NULL, NULL};
+  Crumple* session = NULL;
+  if (crumple_open(&options, &session) == CRUMPLE_BAD_ARGUMENT) puts(crumple_error());
+  return 0;
+}''')
+        for compiler in ("gcc -std=c99", "g++ -x c++ -std=c++17", "g++ -x c++ -std=c++20"):
+            strict = f"{compiler} -Wall -Wextra -Wpedantic -Werror open.c -x none ./libcrumple_client.so -o open"
+            self.assertIn("version", output("sh", "-c", f"cd {self.folder} && {strict} && LD_LIBRARY_PATH=. ./open"))
+
     def test_what_goes_wrong_is_told_in_one_sentence(self):
         for command, part in (((CLIENTS / "examples/host", self.endpoint, "no.car"), "no.car: cannot be read"),
                               ((CLIENTS / "examples/viewer",), "usage")):
