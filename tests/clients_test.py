@@ -1,4 +1,4 @@
-"""The examples of clients/cpp, unity and godot, as their manuals build them: against a real server.
+"""The examples of clients/cpp, unity, godot and unreal, as their manuals build them: against a real server.
 
     python tests/clients_test.py build/crumple CAR build/clients/libcrumple_client.so [unittest's options]
 """
@@ -174,6 +174,16 @@ class Unity(WithViewers):
 
     def test_crumple_cs_stands_without_unsafe_code_and_without_unity(self):
         self.compile(options=("-target:library",))
+
+
+class Unreal(WithViewers):
+    def test_the_component_draws_what_the_server_has(self):
+        sources = [ROOT / each for each in ("tests/unreal/see.cpp", "clients/unreal/CrumpleCarComponent.cpp")]
+        folders = [f"-I{ROOT / each}" for each in ("tests/unreal", "clients/unreal", "clients/cpp")]
+        output("g++", "-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Werror", *sources, *folders, f"-L{CLIENTS}", "-lcrumple_client",
+               "-o", self.folder / "see")
+        (said,), _, dent = self.see_a_crash([self.begin(self.folder / "see", self.endpoint, "car1")])
+        self.assertIn(dent, said)
 
 
 @unittest.skipIf(no_godot, no_godot)
