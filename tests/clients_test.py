@@ -1,4 +1,4 @@
-"""The examples of clients/cpp and clients/unity, as their manuals build them: against a real server.
+"""The examples of clients/cpp, unity, godot and unreal, as their manuals build them: against a real server.
 
     python tests/clients_test.py build/crumple CAR build/clients/libcrumple_client.so [unittest's options]
 """
@@ -19,6 +19,8 @@ from live_server import CAR, LIBRARY, PATIENCE, ROOT, WithServer
 
 CLIENTS = pathlib.Path(LIBRARY).parent
 no_mono = None if shutil.which("mcs") and shutil.which("mono") else "mcs and mono are missing: apt-get install mono-mcs mono-runtime"
+GODOT = ROOT / "build/godot"
+no_godot = None if (GODOT / "godot").exists() else "Godot is missing: tests/godot/unpack build/godot"
 
 
 def output(*command, **options):
@@ -34,7 +36,7 @@ def first_code(readme, language):
 
 def commands(readme):
     """Lines of the manual that are indented and begin with one of these."""
-    return re.findall(r"^    ((?:g\+\+|mcs|LD_LIBRARY_PATH).*?)(?:   .*)?$", (ROOT / readme).read_text(), re.MULTILINE)
+    return re.findall(r"^    ((?:g\+\+|mcs|LD_LIBRARY_PATH|cp|godot|\(cd).*?)(?:   .*)?$", (ROOT / readme).read_text(), re.MULTILINE)
 
 
 class WithViewers(WithServer):
@@ -98,6 +100,21 @@ class Cpp(WithViewers):
         self.assertRegex(output(CLIENTS / "examples/host", self.endpoint, CAR), "kJ", "a second time: it took its car away")
         self.assertGreater(int(re.search(r"dent (\d+) mm", self.end(viewer)).group(1)), 100)
 
+    def test_a_header_and_the_library_are_all_that_c_and_cpp_need(self):
+        for file in (ROOT / "clients/cpp/crumple_client.h", LIBRARY):
+            shutil.copy(file, self.folder)
+        (self.folder / "open.c").write_text('''#include <stdio.h>
+#include "crumple_client.h"
+int main(void) {
+  CrumpleOptions options = {CRUMPLE_CLIENT_VERSION + 1, 0, NULL, "main", NULL, NULL};
+  Crumple* session = NULL;
+  if (crumple_open(&options, &session) == CRUMPLE_BAD_ARGUMENT) puts(crumple_error());
+  return 0;
+}''')
+        for compiler in ("gcc -std=c99", "g++ -x c++ -std=c++17", "g++ -x c++ -std=c++20"):
+            strict = f"{compiler} -Wall -Wextra -Wpedantic -Werror open.c -x none ./libcrumple_client.so -o open"
+            self.assertIn("version", output("sh", "-c", f"cd {self.folder} && {strict} && LD_LIBRARY_PATH=. ./open"))
+
     def test_what_goes_wrong_is_told_in_one_sentence(self):
         for command, part in (((CLIENTS / "examples/host", self.endpoint, "no.car"), "no.car: cannot be read"),
                               ((CLIENTS / "examples/viewer",), "usage")):
@@ -157,6 +174,44 @@ class Unity(WithViewers):
 
     def test_crumple_cs_stands_without_unsafe_code_and_without_unity(self):
         self.compile(options=("-target:library",))
+
+
+class Unreal(WithViewers):
+    def test_the_component_draws_what_the_server_has(self):
+        sources = [ROOT / each for each in ("tests/unreal/see.cpp", "clients/unreal/CrumpleCarComponent.cpp")]
+        folders = [f"-I{ROOT / each}" for each in ("tests/unreal", "clients/unreal", "clients/cpp")]
+        output("g++", "-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Werror", *sources, *folders, f"-L{CLIENTS}", "-lcrumple_client",
+               "-o", self.folder / "see")
+        (said,), _, dent = self.see_a_crash([self.begin(self.folder / "see", self.endpoint, "car1")])
+        self.assertIn(dent, said)
+
+
+@unittest.skipIf(no_godot, no_godot)
+class Godot(WithViewers):
+    def test_the_project_of_the_manual_draws_what_the_server_has(self):
+        self.assertEqual(first_code("clients/godot/README.md", "gdscript"), (ROOT / "clients/godot/main.gd").read_text())
+        # A place where the commands of the manual hold as they are written.
+        (self.folder / "clients").mkdir()
+        (self.folder / "clients/cpp").symlink_to(ROOT / "clients/cpp")
+        (self.folder / "build").mkdir()
+        (self.folder / "build/clients").symlink_to(CLIENTS)
+        project = self.folder / "clients/godot"
+        ours = shutil.ignore_patterns("*.so", "gdextension_interface.h", "*.uid", ".godot")
+        shutil.copytree(ROOT / "clients/godot", project, ignore=ours)
+        *prepare, editor, run = commands("clients/godot/README.md")
+        environment = {**os.environ, "PATH": f"{GODOT}:{os.environ['PATH']}", "HOME": str(self.folder), "LANG": "C.UTF-8"}
+        for command in prepare:
+            command = command.replace("g++", "g++ -Wall -Wextra -Wpedantic -Werror")
+            output("sh", "-c", f"cd {self.folder} && {command}", env=environment)
+        self.assertEqual([editor, run], ["godot --path clients/godot --editor", "godot --path clients/godot -- tcp/127.0.0.1:7447 car1"])
+        # Its exit code says nothing: without a window it dies if it ends before it has documented a new extension (godot#111048).
+        subprocess.run(["sh", "-c", f"cd {self.folder} && {editor} --headless --quit-after 200"], env=environment, timeout=PATIENCE,
+                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        shutil.copytree(ROOT / "tests/godot", project, dirs_exist_ok=True)
+        godot = (GODOT / "godot", "--headless", "--no-header", "--max-fps", "60", "--path", project)
+        arguments = ("--", self.endpoint, "car1")
+        (_, seen), _, dent = self.see_a_crash([self.begin(*godot, *arguments), self.begin(*godot, "-s", "see.gd", *arguments)])
+        self.assertIn(dent, seen)
 
 
 if __name__ == "__main__":

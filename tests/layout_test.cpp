@@ -63,7 +63,8 @@ TEST(Layout, ClientsKnowNothingOfTheServerButItsTransport) {
       const std::string room = room_of((*i)[1]);
       EXPECT_TRUE(room == "server" || room == "cpp" || room == "schema" || room == "transport")
           << source.name << " includes " << (*i)[1];
-      if (room == "server") {  // a bare name: a file beside it
+      // A bare name is a file beside it, but for one that Unreal makes.
+      if (room == "server" && !(*i)[1].str().ends_with(".generated.h")) {
         EXPECT_TRUE(fs::exists((root / source.name).parent_path() / (*i)[1].str())) << source.name << " includes " << (*i)[1];
       }
     }

@@ -1,0 +1,351 @@
+// crumple_client.h for Godot 4.4 or newer: the class CrumpleSession, a viewer's session as scripts see it. Straight on Godot's
+// C interface, by the header that Godot writes itself. What goes wrong is shown where Godot shows its own errors, with the
+// library's sentence, and gives false, 0 or nothing. crumple_car.gd is the node made of it.
+#include <crumple_client.h>
+#include <gdextension_interface.h>
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+namespace {
+
+// ---- Godot
+
+#define FROM_GODOT(each)                                                              \
+  each(PrintError, print_error);                                                      \
+  each(StringNameNewWithLatin1Chars, string_name_new_with_latin1_chars);              \
+  each(StringNewWithUtf8CharsAndLen2, string_new_with_utf8_chars_and_len2);           \
+  each(StringToUtf8Chars, string_to_utf8_chars);                                      \
+  each(PackedByteArrayOperatorIndex, packed_byte_array_operator_index);               \
+  each(VariantGetPtrBuiltinMethod, variant_get_ptr_builtin_method);                   \
+  each(VariantGetPtrConstructor, variant_get_ptr_constructor);                        \
+  each(VariantGetPtrDestructor, variant_get_ptr_destructor);                          \
+  each(GetVariantFromTypeConstructor, get_variant_from_type_constructor);             \
+  each(GetVariantToTypeConstructor, get_variant_to_type_constructor);                 \
+  each(ClassdbConstructObject2, classdb_construct_object2);                           \
+  each(ObjectSetInstance, object_set_instance);                                       \
+  each(ClassdbRegisterExtensionClass4, classdb_register_extension_class4);            \
+  each(ClassdbRegisterExtensionClassMethod, classdb_register_extension_class_method); \
+  each(ClassdbUnregisterExtensionClass, classdb_unregister_extension_class);
+
+struct {
+#define DECLARE(Type, name) GDExtensionInterface##Type name
+  FROM_GODOT(DECLARE)
+  GDExtensionPtrBuiltInMethod resize;  // of PackedByteArray
+} godot;
+GDExtensionClassLibraryPtr library;
+
+// Room for any of the values below.
+struct alignas(8) Value {
+  unsigned char bytes[16];
+};
+
+void destroy(GDExtensionVariantType type, void* value) {
+  if (const auto destructor = godot.variant_get_ptr_destructor(type)) destructor(value);
+}
+
+struct Name {
+  Value value;
+  explicit Name(const char* text) { godot.string_name_new_with_latin1_chars(&value, text, false); }
+  ~Name() { destroy(GDEXTENSION_VARIANT_TYPE_STRING_NAME, &value); }
+  Name(const Name&) = delete;
+};
+
+void complain(const std::string& sentence) { godot.print_error(sentence.c_str(), "CrumpleSession", __FILE__, 0, false); }
+
+// What methods take and give: how it lies in Godot's memory.
+struct Bytes {
+  const void* data;
+  size_t size;
+};
+struct Range {  // a Vector2i
+  int32_t first, count;
+};
+template <class T>
+constexpr GDExtensionVariantType type_of() {
+  if (std::is_same_v<T, bool>) return GDEXTENSION_VARIANT_TYPE_BOOL;
+  if (std::is_same_v<T, int64_t>) return GDEXTENSION_VARIANT_TYPE_INT;
+  if (std::is_same_v<T, double>) return GDEXTENSION_VARIANT_TYPE_FLOAT;
+  if (std::is_same_v<T, std::string>) return GDEXTENSION_VARIANT_TYPE_STRING;
+  if (std::is_same_v<T, Range>) return GDEXTENSION_VARIANT_TYPE_VECTOR2I;
+  return GDEXTENSION_VARIANT_TYPE_PACKED_BYTE_ARRAY;
+}
+
+template <class T>
+T read(const void* value) {
+  return *static_cast<const T*>(value);
+}
+template <>
+std::string read(const void* value) {
+  std::string text(size_t(godot.string_to_utf8_chars(value, nullptr, 0)), '\0');
+  godot.string_to_utf8_chars(value, text.data(), GDExtensionInt(text.size()));
+  return text;
+}
+
+template <class T>
+void write(const T& from, void* value) {
+  *static_cast<T*>(value) = from;
+}
+void write(const std::string& from, void* value) {
+  destroy(GDEXTENSION_VARIANT_TYPE_STRING, value);
+  godot.string_new_with_utf8_chars_and_len2(value, from.data(), GDExtensionInt(from.size()));
+}
+void write(const Bytes& from, void* value) {
+  const auto size = GDExtensionInt(from.size);
+  const GDExtensionConstTypePtr arguments[] = {&size};
+  GDExtensionInt error = 0;
+  godot.resize(value, arguments, &error, 1);
+  if (size > 0) std::memcpy(godot.packed_byte_array_operator_index(value, 0), from.data, from.size);
+}
+
+// ---- the class
+
+class Session {
+ public:
+  // Waits for the server of the scene, at most so many seconds.
+  bool open(std::string endpoint, std::string scene, double seconds) {
+    const CrumpleOptions options{
+        CRUMPLE_CLIENT_VERSION, uint32_t(std::fmax(1, 1e3 * seconds)), endpoint.c_str(), scene.c_str(), nullptr, nullptr};
+    Crumple* opened = nullptr;
+    if (!good(crumple_open(&options, &opened))) return false;
+    crumple_close(handle_);
+    handle_ = opened;
+    return true;
+  }
+  bool follow(std::string car, int64_t level) { return good(crumple_follow(handle_, car.c_str(), int(level))); }
+  // Takes in what has arrived; returns the number of messages.
+  int64_t poll() {
+    const int messages = crumple_poll(handle_, 0);
+    return good(messages) ? messages : 0;
+  }
+  // The server's now, s; 0 while it is not known.
+  double time() { return crumple_time(handle_); }
+
+  // The hash of the car's undamaged mesh; "" while nothing whole and current is there: keep what was drawn.
+  std::string asset(std::string car) {
+    CrumpleSurface surface;
+    return has(crumple_surface(handle_, car.c_str(), &surface)) ? surface.asset : "";
+  }
+  // False once it is despawned, or its server gone.
+  bool alive(std::string car) {
+    CrumpleSurface surface;
+    return !has(crumple_surface(handle_, car.c_str(), &surface)) || surface.alive;
+  }
+
+  // Of an asset; nothing until it has arrived. vertices: Vector3; triangles: int32, as Godot has them: clockwise from the
+  // front.
+  Bytes vertices(std::string asset) {
+    const CrumpleMesh mesh = mesh_of(asset);
+    return {mesh.vertex, 12 * size_t{mesh.vertex_count}};
+  }
+  Bytes triangles(std::string asset) {
+    const CrumpleMesh mesh = mesh_of(asset);
+    clockwise_.assign(mesh.triangle, mesh.triangle + 3 * size_t{mesh.triangle_count});
+    for (size_t i = 0; i < clockwise_.size(); i += 3) std::swap(clockwise_[i + 1], clockwise_[i + 2]);
+    return {clockwise_.data(), 4 * clockwise_.size()};
+  }
+  // Must be shown where the car is shown.
+  std::string attribution(std::string asset) {
+    const char* text = mesh_of(asset).attribution;
+    return text ? text : "";
+  }
+
+  // Decodes the car as it was at that time. Outside of this range of vertices nothing is other than after the last copy of this
+  // car; its length is negative while the car or its mesh is not there.
+  Range copy(std::string car, double time) {
+    CrumpleVertices out{};
+    CrumpleMesh mesh{};
+    if (const std::string name = asset(car); !name.empty()) mesh = mesh_of(name);
+    position_.resize(3 * size_t{mesh.vertex_count});
+    normal_.resize(position_.size());
+    if (position_.empty()) return {0, -1};
+    out.position = position_.data();
+    out.normal = normal_.data();
+    out.stride = 12;
+    out.capacity = mesh.vertex_count;
+    out.time = time;
+    if (!has(crumple_copy(handle_, car.c_str(), &out))) return {0, -1};
+    return {int32_t(out.first), int32_t(out.count)};
+  }
+  // Of the last copy, as they lie in the vertex buffer of a Godot mesh: first all positions, then all normals, so many bytes
+  // from one to the next. What is between is 0: a tangent, which only a normal map would need.
+  Bytes positions(int64_t first, int64_t count) {
+    if (!within(first, count)) return {};
+    return {&position_[3 * size_t(first)], 12 * size_t(count)};
+  }
+  Bytes normals(int64_t first, int64_t count, int64_t stride) {
+    if (!within(first, count)) return {};
+    folded_.assign(size_t(count * stride / 2), 0);
+    for (int64_t i = 0; i < count; ++i) fold(&normal_[3 * size_t(first + i)], &folded_[size_t(i * stride / 2)]);
+    return {folded_.data(), 2 * folded_.size()};
+  }
+
+  Session() {
+    // One without a network, so that there always is one.
+    const CrumpleOptions none{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", nullptr, nullptr};
+    good(crumple_open(&none, &handle_));
+  }
+  ~Session() { crumple_close(handle_); }
+  Session(const Session&) = delete;
+
+ private:
+  static bool good(int status) {
+    if (status < 0) complain(crumple_error());
+    return status >= 0;
+  }
+  static bool has(int status) { return good(status) && status == CRUMPLE_OK; }
+  CrumpleMesh mesh_of(const std::string& asset) {
+    CrumpleMesh mesh{};
+    return has(crumple_mesh(handle_, asset.c_str(), &mesh)) ? mesh : CrumpleMesh{};
+  }
+  bool within(int64_t first, int64_t count) {
+    const bool holds = first >= 0 && count > 0 && first + count <= int64_t(position_.size() / 3);
+    if (!holds) complain("vertices " + std::to_string(first) + " + " + std::to_string(count) + " are not in the last copy");
+    return holds;
+  }
+  // A direction on the octahedron |x| + |y| + |z| = 1, whose lower half is folded over the upper one: 16 bits each for x and y.
+  static void fold(const float* direction, uint16_t* out) {
+    const float size = std::fabs(direction[0]) + std::fabs(direction[1]) + std::fabs(direction[2]);
+    const float x = direction[0] / size, y = direction[1] / size;
+    const bool below = direction[2] < 0;
+    const float plane[2] = {below ? std::copysign(1 - std::fabs(y), x) : x, below ? std::copysign(1 - std::fabs(x), y) : y};
+    for (int i = 0; i < 2; ++i) out[i] = uint16_t(65535 * (0.5F + 0.5F * plane[i]));
+  }
+
+  Crumple* handle_ = nullptr;
+  std::vector<float> position_, normal_;
+  std::vector<uint32_t> clockwise_;
+  std::vector<uint16_t> folded_;
+};
+
+// ---- its methods in Godot
+
+constexpr int most_arguments = 3;
+
+struct Method {
+  const char* name;
+  GDExtensionClassMethodPtrCall run;
+  GDExtensionVariantType result;
+  uint32_t count;
+  GDExtensionVariantType type[most_arguments];
+};
+
+template <auto method>
+struct Of;
+template <class Result, class... Arguments, Result (Session::*method)(Arguments...)>
+struct Of<method> {
+  template <size_t... i>
+  static void run(Session& session, const GDExtensionConstTypePtr* arguments, void* result, std::index_sequence<i...>) {
+    (void)arguments;  // of methods without any
+    write((session.*method)(read<Arguments>(arguments[i])...), result);
+  }
+  static void run(void*, GDExtensionClassInstancePtr session, const GDExtensionConstTypePtr* arguments, void* result) {
+    run(*static_cast<Session*>(session), arguments, result, std::index_sequence_for<Arguments...>());
+  }
+  static constexpr Method named(const char* name) {
+    return {name, run, type_of<Result>(), sizeof...(Arguments), {type_of<Arguments>()...}};
+  }
+};
+
+const Method methods[] = {
+    Of<&Session::open>::named("open"),           Of<&Session::follow>::named("follow"),
+    Of<&Session::poll>::named("poll"),           Of<&Session::time>::named("time"),
+    Of<&Session::asset>::named("asset"),         Of<&Session::alive>::named("alive"),
+    Of<&Session::vertices>::named("vertices"),   Of<&Session::triangles>::named("triangles"),
+    Of<&Session::copy>::named("copy"),           Of<&Session::attribution>::named("attribution"),
+    Of<&Session::positions>::named("positions"), Of<&Session::normals>::named("normals"),
+};
+
+// From a script that does not know the types: variants to values and back.
+void call(void* userdata, GDExtensionClassInstancePtr session, const GDExtensionConstVariantPtr* arguments,
+          GDExtensionInt count, GDExtensionVariantPtr out, GDExtensionCallError* error) {
+  const auto& method = *static_cast<const Method*>(userdata);
+  if (count != method.count) {
+    error->error = count < method.count ? GDEXTENSION_CALL_ERROR_TOO_FEW_ARGUMENTS : GDEXTENSION_CALL_ERROR_TOO_MANY_ARGUMENTS;
+    error->expected = int32_t(method.count);
+    return;
+  }
+  Value value[most_arguments], result;
+  GDExtensionConstTypePtr pointer[most_arguments];
+  for (uint32_t i = 0; i < method.count; ++i) {
+    pointer[i] = &value[i];
+    godot.get_variant_to_type_constructor(method.type[i])(&value[i], const_cast<GDExtensionVariantPtr>(arguments[i]));
+  }
+  godot.variant_get_ptr_constructor(method.result, 0)(&result, nullptr);
+  method.run(nullptr, session, pointer, &result);
+  godot.get_variant_from_type_constructor(method.result)(out, &result);
+  destroy(method.result, &result);
+  for (uint32_t i = 0; i < method.count; ++i) destroy(method.type[i], &value[i]);
+  error->error = GDEXTENSION_CALL_OK;
+}
+
+GDExtensionObjectPtr create(void*, GDExtensionBool) {
+  const Name base("RefCounted"), name("CrumpleSession");
+  const GDExtensionObjectPtr object = godot.classdb_construct_object2(&base.value);
+  godot.object_set_instance(object, &name.value, new Session);
+  return object;
+}
+
+void describe(GDExtensionVariantType type, Name& name, Name& nothing, Value& empty, GDExtensionPropertyInfo& out) {
+  out = {type, &name.value, &nothing.value, 0, &empty, 6};  // PROPERTY_USAGE_DEFAULT
+}
+
+void begin(void*, GDExtensionInitializationLevel level) {
+  if (level != GDEXTENSION_INITIALIZATION_SCENE) return;
+  const Name name("CrumpleSession"), base("RefCounted"), resize("resize");
+  godot.resize = godot.variant_get_ptr_builtin_method(GDEXTENSION_VARIANT_TYPE_PACKED_BYTE_ARRAY, &resize.value, 848867239);
+  GDExtensionClassCreationInfo4 info{};
+  info.is_exposed = true;
+  info.create_instance_func = create;
+  info.free_instance_func = [](void*, GDExtensionClassInstancePtr session) { delete static_cast<Session*>(session); };
+  godot.classdb_register_extension_class4(library, &name.value, &base.value, &info);
+
+  Name nothing("");
+  Value empty;
+  godot.variant_get_ptr_constructor(GDEXTENSION_VARIANT_TYPE_STRING, 0)(&empty, nullptr);
+  for (const Method& method : methods) {
+    Name called(method.name);
+    GDExtensionPropertyInfo result, arguments[most_arguments];
+    GDExtensionClassMethodArgumentMetadata metadata[most_arguments] = {};
+    describe(method.result, nothing, nothing, empty, result);
+    for (uint32_t i = 0; i < method.count; ++i) describe(method.type[i], nothing, nothing, empty, arguments[i]);
+    GDExtensionClassMethodInfo is{};
+    is.name = &called.value;
+    is.method_userdata = const_cast<Method*>(&method);
+    is.call_func = call;
+    is.ptrcall_func = method.run;
+    is.method_flags = GDEXTENSION_METHOD_FLAGS_DEFAULT;
+    is.has_return_value = true;
+    is.return_value_info = &result;
+    is.argument_count = method.count;
+    is.arguments_info = arguments;
+    is.arguments_metadata = metadata;
+    godot.classdb_register_extension_class_method(library, &name.value, &is);
+  }
+  destroy(GDEXTENSION_VARIANT_TYPE_STRING, &empty);
+}
+
+void end(void*, GDExtensionInitializationLevel level) {
+  if (level != GDEXTENSION_INITIALIZATION_SCENE) return;
+  const Name name("CrumpleSession");
+  godot.classdb_unregister_extension_class(library, &name.value);
+}
+
+}  // namespace
+
+// What crumple.gdextension names.
+extern "C" __attribute__((visibility("default"))) GDExtensionBool crumple_godot(GDExtensionInterfaceGetProcAddress get,
+                                                                                GDExtensionClassLibraryPtr itself,
+                                                                                GDExtensionInitialization* out) {
+  library = itself;
+#define FIND(Type, name) \
+  if (!(godot.name = reinterpret_cast<GDExtensionInterface##Type>(get(#name)))) return false
+  FROM_GODOT(FIND)
+  *out = {GDEXTENSION_INITIALIZATION_SCENE, nullptr, begin, end};
+  return true;
+}

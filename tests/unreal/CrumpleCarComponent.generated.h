@@ -1,0 +1,1 @@
+// Unreal makes one of these.
