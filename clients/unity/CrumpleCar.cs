@@ -77,6 +77,7 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     if (build && !Build(surface.Asset)) return;
     vertices.Time = shared.session.Time - delay;
     if (!shared.session.Copy(car, ref vertices)) return;
+    if (build) asset = shared.session.Id(surface.Asset);  // whole only now: until then a mesh is built anew
     // What changed is told once; a new mesh needs all of it.
     int first = build ? 0 : (int)vertices.First, count = build ? buffer.Length : (int)vertices.Count;
     if (count > 0)
@@ -89,7 +90,6 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     Mesh mesh;
     if (!shared.session.TryMesh(name, out mesh)) return false;
     Clear();
-    asset = shared.session.Id(name);
     Attribution = mesh.Attribution;
     int count = (int)mesh.VertexCount, corners = 3 * (int)mesh.TriangleCount;
     drawn = new UnityEngine.Mesh { name = mesh.Name };
