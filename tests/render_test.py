@@ -4,6 +4,7 @@
 """
 
 import argparse
+import itertools
 import pathlib
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import unittest
 import numpy as np
 from PIL import Image
 
-from crumple import Recording
-from crumple.render import BEFORE, Moment, Stage, find_clips, matrix, read_film, sheet_moments
+from crumple import Obstacle, Pose, Recording, Shape
+from crumple.render import BEFORE, Moment, Stage, find_clips, matrix, obstacle_mesh, read_film, sheet_moments
+from crumple.trace import Scene
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 POLE = ROOT / "recordings/built_in_pole.mcap"
@@ -72,11 +74,39 @@ class ThePictures(unittest.TestCase):
         self.assertGreater(paint(pictures[1]).mean(), 0.05)
 
     def test_the_camera_sees_what_dented_past_the_obstacle(self):
-        last = self.film.moments[-1]
-        hardest = last.vertex["car"][last.dent["car"] > 0.3]
-        toward = self.stage.camera.eye - hardest
-        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        self.assertGreater(self.stage.scene(last).reached(hardest + 0.02 * toward, toward).mean(), 0.4)
+        with Recording(ROOT / "recordings/m130_wall.mcap") as recording:
+            clip, = find_clips(recording, recording.reactions(), ITSELF)
+            film = read_film(recording, clip, 1 / 60)
+        stage = Stage(film, {"car": (0.74, 0.24, 0.05)}, 320, 180)
+        for moment in (max(film.moments, key=lambda moment: moment.dent["car"].max()), film.moments[-1]):
+            dented = moment.vertex["car"][film.moments[-1].dent["car"] > 0.1]
+            toward = stage.camera.eye - dented
+            toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+            self.assertGreater(stage.scene(moment).reached(dented + 0.02 * toward, toward).mean(), 0.2)
+
+    def test_things_throw_shadows_on_the_ground(self):
+        moment = self.film.moments[-1]
+        image = self.stage.scene(moment).picture(self.stage.camera).astype(int)
+        grey = image[np.ptp(image, axis=2) < 14].mean(1)
+        self.assertLess(np.quantile(grey, 0.02), 0.6 * np.median(grey))
+        self.assertGreater(np.median(grey), 150)
+
+    def test_obstacles_are_closed_and_where_they_are(self):
+        rng = np.random.default_rng(1)
+        corners = tuple(map(tuple, rng.uniform(-1, 1, (60, 3)).tolist())) + tuple(itertools.product((-1, 1), (-1, 1), (-1, 1)))
+        turned = Pose((4, 5, 6), (0.0, 0.6, 0.0, 0.8))
+        far = np.full(3, 50.0)
+        direction = rng.normal(size=(500, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        for obstacle in (Obstacle(1, Shape.box, (1, 2, 3), turned), Obstacle(2, Shape.sphere, (1, 0, 0), turned),
+                         Obstacle(3, Shape.capsule, (0.5, 2, 0), turned), Obstacle(4, Shape.hull, pose=turned, points=corners)):
+            scene = Scene([obstacle_mesh(obstacle, -far, far)])
+            self.assertFalse(scene.reached(np.tile(turned.position, (500, 1)), direction).any(), obstacle.shape)
+            most = {Shape.box: 14**0.5, Shape.sphere: 1, Shape.capsule: 2.5, Shape.hull: 3**0.5}[obstacle.shape]
+            self.assertAlmostEqual(np.linalg.norm(scene.vertex - turned.position, axis=1).max(), most, 3)
+            self.assertIsNone(obstacle_mesh(obstacle, far, far + 1))
+        cut = obstacle_mesh(Obstacle(1, Shape.box, (1, 20, 20)), np.full(3, -2.0), np.full(3, 2.0))
+        self.assertEqual(np.abs(cut.vertex).max(0).tolist(), [1, 2, 2])
 
     def test_a_time_without_contact_is_shown_as_well(self):
         with Recording(POLE) as recording:
