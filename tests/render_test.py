@@ -144,7 +144,7 @@ class TheVerb(unittest.TestCase):
         return subprocess.run([PROGRAM, "render", *map(str, arguments)], cwd=self.folder, text=True, capture_output=True)
 
     def test_writes_an_animation_of_this_speed_a_sheet_and_charts_and_nothing_else(self):
-        done = self.render(POLE, "-o", "out", "--from", "0.7", "--to", "1.3", "--speed", "0.5", "--fps", "10", "--size", "240x136", "--frames")
+        done = self.render(POLE, *"-o out --from 0.7 --to 1.3 --speed 0.5 --fps 10 --size 240x136 --frames".split())
         self.assertEqual((done.returncode, done.stderr), (0, ""), done)
         self.assertEqual([each.name for each in self.folder.iterdir()], ["out"])
         frames = [f"frame_{i:04}.png" for i in range(1, 14)]  # a frame each 0.05 s

@@ -44,6 +44,7 @@ GAP = 1.2  # s without a dent: two clips
 MOST_CLIPS = 4
 VIEW = 20.0  # degrees from bottom to top
 MOST_BYTES = 1_000_000
+MOST_FRAMES = 1000  # all are held in memory
 STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
@@ -474,8 +475,12 @@ def render(options: argparse.Namespace) -> None:
             raise Error(f"{options.recording}: no car {', '.join(unknown)} in it; it has: {', '.join(recording.cars) or 'none'}")
         rows = recording.reactions()
         rows = rows[np.isin(rows["car"], options.cars)] if options.cars else rows
-        films = []
-        for clip in find_clips(recording, rows, options):
+        films, clips = [], find_clips(recording, rows, options)
+        frames_most = sum((clip.end - clip.start) * min(options.fps / options.speed, recording.rate) for clip in clips)
+        if frames_most > MOST_FRAMES:
+            raise Error(f"{options.recording}: {frames_most:.0f} frames are more than {MOST_FRAMES}; give a shorter time by --from and "
+                        "--to, a higher --speed or fewer --fps")
+        for clip in clips:
             progress(f"reading {clip.start:.1f} to {clip.end:.1f} s")
             film = read_film(recording, clip, options.speed / options.fps)
             films += [film] if film.moments else []
