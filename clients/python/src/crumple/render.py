@@ -403,6 +403,8 @@ def write_chart(path: pathlib.Path, recording: Recording, films: list[Film], row
                     ([1000 * (m.time - clip.first) for m in shown], [1000 * float(m.dent[car].max()) for m in shown]),
                     (ms, mine["contacts"])]
             for k, (axis, (x, y)) in enumerate(zip(column, data)):
+                if k in (0, 3) and len(x):  # a tick's own lasts from the one before
+                    x, y = np.insert(x, 0, x[0] - 1000 / recording.rate), np.insert(y, 0, 0)
                 axis.plot(x, y, drawstyle="steps-pre" if k in (0, 3) else "default", **look)
         for axis in column:
             axis.grid(alpha=0.3)
