@@ -16,6 +16,7 @@
 #include "info.h"
 #include "recording.h"
 #include "recover.h"
+#include "render.h"
 #include "replay.h"
 #include "serve.h"
 #include "transport/transport.h"
@@ -298,6 +299,13 @@ Verb add_export(CLI::App& app, ExportOptions& options) {
   return [&options] { return export_recording(options); };
 }
 
+Verb add_render(CLI::App& app) {
+  CLI::App& verb = *app.add_subcommand("render", "Draws a recording: an animation in slow motion, a contact sheet, charts");
+  verb.set_help_flag();
+  verb.prefix_command();
+  return [&verb] { return render(verb.remaining()); };
+}
+
 }  // namespace
 
 int run(int argc, const char* const* argv) {
@@ -322,10 +330,11 @@ int run(int argc, const char* const* argv) {
       "  crumple drive clients/scenes/pole.json --car car.car\n"
       "then: crumple replay today.mcap --verify\n"
       "Each verb explains itself: crumple VERB --help");
-  const std::vector<Verb> verbs = {
-      add_bake(app, bake_options),   add_serve(app, serve_options),     add_drive(app, drive_options),
-      add_watch(app, watch_options), add_view(app, view_options),       add_replay(app, replay_options),
-      add_info(app, info_files),     add_recover(app, recover_options), add_export(app, export_options)};
+  const std::vector<Verb> verbs = {add_bake(app, bake_options),     add_serve(app, serve_options),
+                                   add_drive(app, drive_options),   add_watch(app, watch_options),
+                                   add_view(app, view_options),     add_replay(app, replay_options),
+                                   add_info(app, info_files),       add_recover(app, recover_options),
+                                   add_export(app, export_options), add_render(app)};
   try {
     app.parse(argc, argv);
   } catch (const CLI::Success& asked) {  // --help, --version

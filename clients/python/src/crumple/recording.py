@@ -21,6 +21,8 @@ from crumple.schema.Answer import Answer
 from crumple.schema.Command import Command
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
 from crumple.schema.Order import Order
+from crumple.schema.Pose import PoseT
+from crumple.schema.Poses import Poses
 from crumple.schema.Spawn import Spawn
 from crumple.session import View
 from crumple.types import Mesh, Obstacle, Pose, Shape, Surface, Vertices
@@ -37,6 +39,8 @@ class Life:
     host: str
     spawned: int  # ticks
     despawned: int | None = None
+    mass: float = 0.0  # kg; 0: the baked car's
+    pose: Pose = Pose()  # at first
 
 
 class Frame(View):
@@ -205,6 +209,26 @@ class Recording:
                 lists[key.split("/")[1]] = [_obstacle_of(each) for each in read.obstacles]
         return lists
 
+    def poses(self, start: float = 0.0, end: float = float("inf")) -> dict[str, dict[int, Pose]]:
+        """By car and tick, where something is known: its spawn, its host's intent, and before that what a reaction made of it."""
+        known: dict[str, dict[int, Pose]] = {}
+        for life in self.lives:
+            known.setdefault(life.car, {})[life.spawned] = life.pose
+        hosts = {life.car: life.host for life in self.lives}
+        for tick, _, key, data in self._messages(lambda key: key.endswith("/poses")):
+            if not start <= tick / self.rate <= end:
+                continue
+            message = Poses.GetRootAs(data)
+            for i in range(message.CarsLength()):
+                each = message.Cars(i)
+                car = each.Car().decode()
+                if hosts.get(car, host := key.split("/")[1]) == host:
+                    known.setdefault(car, {})[tick] = _pose_of(PoseT.InitFromObj(each.Pose()))
+        for row in self.reactions(start, end):
+            pose = Pose(tuple(row["position"].tolist()), tuple(row["orientation"].tolist()))
+            known.setdefault(str(row["car"]), {})[int(row["tick"])] = pose
+        return known
+
     @cached_property
     def lives(self) -> list[Life]:
         """Who was there, and when."""
@@ -222,7 +246,8 @@ class Recording:
             if command.OrderType() == Order.Spawn:
                 spawn = Spawn()
                 spawn.Init(command.Order().Bytes, command.Order().Pos)
-                lives.append(Life(car, spawn.Asset().decode(), spawn.Host().decode(), tick))
+                pose = PoseT.InitFromObj(spawn.Pose())
+                lives.append(Life(car, spawn.Asset().decode(), spawn.Host().decode(), tick, None, spawn.Mass(), _pose_of(pose)))
             elif command.OrderType() == Order.Despawn:
                 lives = [replace(life, despawned=tick) if life.car == car and life.despawned is None else life for life in lives]
         return lives
@@ -233,12 +258,17 @@ class Recording:
         return not last or last[-1].despawned is None or tick < last[-1].despawned
 
 
-def _obstacle_of(read: Any) -> Obstacle:
-    def vector(of: Any) -> tuple[float, ...]:
-        return (of.x, of.y, of.z) if of else (0.0, 0.0, 0.0)
+def _vector(of: Any) -> tuple[float, ...]:
+    return (of.x, of.y, of.z) if of else (0.0, 0.0, 0.0)
 
-    turn = read.pose.orientation
+
+def _pose_of(read: Any) -> Pose:
+    turn = read.orientation
+    return Pose(_vector(read.position), (turn.x, turn.y, turn.z, turn.w))
+
+
+def _obstacle_of(read: Any) -> Obstacle:
     return Obstacle(
-        read.id, Shape(read.shape), vector(read.size), Pose(vector(read.pose.position), (turn.x, turn.y, turn.z, turn.w)),
-        read.friction, vector(read.velocity), vector(read.angularVelocity), tuple(map(vector, read.points or ())),
+        read.id, Shape(read.shape), _vector(read.size), _pose_of(read.pose), read.friction, _vector(read.velocity),
+        _vector(read.angularVelocity), tuple(map(_vector, read.points or ())),
     )

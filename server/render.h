@@ -1,0 +1,12 @@
+// `crumple render FILE`: pictures of a recording, by the Python package (crumple.render), which explains its own options.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace crumple {
+
+// Returns the exit code. Throws std::runtime_error with one sentence: file, fact, remedy.
+int render(const std::vector<std::string>& arguments);
+
+}  // namespace crumple
