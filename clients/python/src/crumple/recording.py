@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from crumple._convert import REACTION
 from crumple._library import Error, check, ffi, lib
 from crumple.schema.Answer import Answer
+from crumple.schema.Asset import Asset
 from crumple.schema.Command import Command
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
 from crumple.schema.Order import Order
@@ -68,6 +69,10 @@ class Frame(View):
     def _mesh(self, asset: str) -> Mesh | None:
         if asset not in self._meshes and asset in self._recording.assets:
             self.add_asset(self._recording.assets[asset])
+        elif asset not in self._meshes:
+            for car in self._recording.given:
+                with contextlib.suppress(Error):  # the server refused it too
+                    self.add_asset(car)
         return super()._mesh(asset)
 
     def _seek(self, car: str) -> bool:
@@ -111,7 +116,12 @@ class Recording:
     @cached_property
     def assets(self) -> dict[str, bytes]:
         """The baked cars by hash."""
-        return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith("crumple.car")}
+        return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith(".car")}
+
+    @cached_property
+    def given(self) -> list[bytes]:
+        """The baked cars that came later, by messages."""
+        return [Asset.GetRootAs(data).CarAsNumpy().tobytes() for _, _, _, data in self._messages("asset".__eq__)]
 
     @cached_property
     def _ticks(self) -> NDArray[np.uint64]:
