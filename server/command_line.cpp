@@ -231,8 +231,11 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
                   "phone in the same network, and from whoever else is in it")
       ->type_name("HOST:PORT")
       ->capture_default_str();
+  verb.add_flag("--control", options.control,
+                "lets browsers command the scene too: tune, repair, paint and replace any car; without it they only look")
+      ->excludes(file);
   verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
-  verb.footer("Examples: crumple view\n          crumple view today.mcap --speed 0.25");
+  verb.footer("Examples: crumple view\n          crumple view --control\n          crumple view today.mcap --speed 0.25");
   return [&options] { return view(options, stop); };
 }
 

@@ -12,6 +12,7 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <set>
 #include <span>
 #include <stdexcept>
@@ -19,6 +20,7 @@
 #include <utility>
 
 #include "answer.h"
+#include "control.h"
 #include "film.h"
 #include "recording.h"
 #include "schema/message_generated.h"
@@ -65,6 +67,7 @@ struct Gateway {
   std::map<std::string, WatchedCar, std::less<>> cars;
   std::map<std::string, Fetched, std::less<>> assets;  // by hash
   std::set<std::string, std::less<>> hosts;
+  std::optional<Control> control;
   std::map<uint64_t, std::string> tickets;  // of questions: the id of a car, or the hash of an asset
 
   ~Gateway() {
@@ -132,10 +135,12 @@ void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::
   std::snprintf(digits, sizeof digits, "%016llx",
                 static_cast<unsigned long long>(XXH64(asset.bytes.data(), asset.bytes.size(), 0)));
   asset.whole = hash == digits;
-  if (asset.whole)
+  if (asset.whole) {
     need(web_page(gateway.web, ("/asset/" + hash).c_str(), "application/octet-stream", asset.bytes.data(), asset.bytes.size()));
-  else
+    if (gateway.control) gateway.control->keep(hash, asset.bytes);
+  } else {
     std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
+  }
   asset.bytes = {};
 }
 
@@ -220,6 +225,7 @@ void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t
 }
 
 void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t> bytes) {
+  if (gateway.control && gateway.control->take_reply(event)) return;
   const auto at = gateway.tickets.find(event.ticket);
   if (at == gateway.tickets.end()) return;
   const std::string name = at->second;
@@ -263,10 +269,11 @@ void ask(Gateway& gateway) {
 void run(Gateway& gateway, const std::atomic<bool>& stop) {
   NetEvent events[64];
   while (!stop) {
-    const int got = net_poll(gateway.net, events, 64, 50'000);
+    const int got = net_poll(gateway.net, events, 64, gateway.control ? 10'000 : 50'000);
     need(got);
     for (int i = 0; i < got; ++i) take(gateway, events[i]);
     ask(gateway);
+    if (gateway.control) gateway.control->work();
   }
 }
 
@@ -327,9 +334,12 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   gateway.root = "crumple/1/" + scene + "/";
   need(web_open(options.listen.c_str(), &gateway.web));
   need(web_page(gateway.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
+  const std::string parameters = parameters_json(options.control);
+  need(web_page(gateway.web, "/parameters", "application/json", parameters.data(), parameters.size()));
   tell_alive(gateway);
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
+  if (options.control) gateway.control.emplace(gateway.net, gateway.web, gateway.root);
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
     need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
@@ -337,8 +347,8 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   for (const char* key : {"server", "car/*"}) need(net_watch(gateway.net, (gateway.root + key).c_str()));
   const std::string address = web_address(gateway.web);
   if (is_public(address))
-    std::fprintf(stderr, "crumple view: whoever reaches %s sees this scene; --listen 127.0.0.1:8080 is for this machine only\n",
-                 address.c_str());
+    std::fprintf(stderr, "crumple view: whoever reaches %s %s this scene; --listen 127.0.0.1:8080 is for this machine only\n",
+                 address.c_str(), options.control ? "commands" : "sees");
   std::printf("scene %s of %s: open http://%s/ in a browser\n", scene.c_str(),
               options.file.empty() ? connect.c_str() : options.file.c_str(), address.c_str());
   std::fflush(stdout);

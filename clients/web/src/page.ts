@@ -7,6 +7,7 @@ import { Film } from "./film.js";
 import { Live } from "./live.js";
 import type { LiveCar, Scene } from "./scene.js";
 import { CarMesh, obstacleGeometry } from "./three.js";
+import { startTools, type Tools } from "./tools.js";
 
 // Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
 const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
@@ -555,6 +556,7 @@ function frame(now: number): void {
   drawnAt = now;
   coarsen(period);
   updateCars(source.now());
+  tools?.update();
   if (updateObstacles(source.now())) wake();
   scene.updateMatrixWorld();
   if (updateView(source.now(), seconds)) wake();
@@ -566,6 +568,12 @@ function frame(now: number): void {
   renderer.render(scene, camera);
 }
 
+let tools: Tools | null = null;
+const stage = { canvas, camera, controls, wake, followed: () => followed, cars: () => (film ? new Map<string, ShownCar>() : shown) };
+void startTools(element("tools"), stage).then((started) => {
+  tools = started;
+  wake();
+});
 controls.addEventListener("change", wake);
 addEventListener("resize", resize);
 new ResizeObserver(resize).observe(element("panel"));
@@ -592,4 +600,4 @@ function picture(): string {
 }
 
 // For tests and for whoever is curious at the console.
-Object.assign(window, { crumple: { live, shown, picture, film: () => film } });
+Object.assign(window, { crumple: { live, shown, picture, film: () => film, tools: () => tools } });
