@@ -44,7 +44,7 @@ export class Paint {
   #of: Shown | null = null;
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
   #ray = new THREE.Raycaster();
-  #stands: { life: string; pose: Pose } | null = null; // where the car that takes the place of this life was spawned
+  #stands: { id: string; life: string; pose: Pose } | null = null; // where the car that takes the place of this life was spawned
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
   constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -100,10 +100,8 @@ export class Paint {
 
   update(): void {
     const { car } = this.chosen() ?? {};
-    if (car && this.#stands && car.life !== this.#stands.life) {
-      car.pose ??= this.#stands.pose; // viewers are told poses by hosts only
-      this.#stands = null;
-    }
+    // Viewers are told poses by hosts only.
+    if (car && car.id === this.#stands?.id && car.life !== this.#stands.life) car.pose ??= this.#stands.pose;
     const shown = this.#on ? this.chosen() : null, wanted = shown?.mesh ? shown : null;
     if (wanted === this.#of) return;
     this.#drop();
@@ -315,7 +313,7 @@ export class Paint {
       if (asset !== surface.asset) {
         await this.control.despawn(id);
         await this.control.spawn(id, asset, host || "page", pose);
-        this.#stands = { life, pose };
+        this.#stands = { id, life, pose };
       }
       this.toggle(false);
       this.tell(`${id} is now ${asset}: ${baked.regions.join(", ")}; baked in ${took} ms`);
