@@ -39,7 +39,7 @@ constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it t
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
 constexpr std::string_view asset_root = "crumple/1/asset/";
-constexpr std::string_view world_key = "replica/world";
+constexpr std::string_view world_key = "replica/world", latest_key = "inputs";
 constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
 constexpr std::chrono::milliseconds look{2000};
@@ -82,6 +82,7 @@ struct Server {
   std::deque<Message> queries;                   // waiting; those for assets with their whole key
   size_t queries_bytes = 0;                      // of them
   uint64_t queries_refused = 0, samples_oversized = 0;
+  std::map<std::string, Message, std::less<>> latest;  // of every host its last poses and obstacles, for who comes late
   Inbox inbox;
   Outbox outbox;
   Pace pace;
@@ -204,7 +205,7 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0));
-  for (const char* what : {"asset", "car/*", "car/*/key/*", "replica/world"})
+  for (const char* what : {"asset", "car/*", "car/*/key/*", "replica/world", "inputs"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
   need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
   need(net_announce(server.net, (server.root + "server").c_str()));
@@ -243,6 +244,8 @@ void take(Server& server, const NetEvent& event) {
     server.queries_bytes += message.bytes.size();
     server.queries.push_back(std::move(message));
   } else {
+    const bool has_room = server.latest.size() < 2 * Limits{}.hosts;
+    if (has_room || server.latest.contains(message.key)) server.latest[message.key] = message;
     server.inbox.push_back(std::move(message));
   }
 }
@@ -253,6 +256,13 @@ std::vector<std::shared_ptr<const Car>> all_cars(const Server& server) {
   return cars;
 }
 
+void answer_latest(const Server& server, uint64_t ticket) {
+  Inbox latest;
+  for (const auto& [key, message] : server.latest) latest.push_back(message);
+  const Message answer = inputs_message(tick_count(*server.world), latest, 0);
+  net_reply(server.net, ticket, answer.bytes.data(), answer.bytes.size(), 0);
+}
+
 // The queries that this tick pays for, before its samples: who spawns a car and moves it at once is understood.
 void admit_queries(Server& server) {
   Inbox admitted;
@@ -261,7 +271,9 @@ void admit_queries(Server& server) {
     left -= channel_of(next.key) == Channel::keyframe ? keyframe_costs : other_query_costs;
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
-    if (next.key.starts_with(asset_root) || next.key == world_key) {
+    if (next.key == latest_key) {
+      answer_latest(server, next.ticket);
+    } else if (next.key.starts_with(asset_root) || next.key == world_key) {
       const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
       const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
       if (next.key == world_key)

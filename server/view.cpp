@@ -37,7 +37,7 @@ constexpr std::chrono::milliseconds hit_ends{1000};  // without a contact
 // What health says of a car that spoke so lately may still be on its way.
 constexpr std::chrono::milliseconds on_its_way{100};
 // Whoever may publish here can invent keys: so many are passed on.
-constexpr size_t car_limit = 4'096, host_limit = 256, asset_count_limit = 64;
+constexpr size_t car_limit = 4'096, host_limit = 512, asset_count_limit = 64;
 constexpr size_t asset_limit = size_t{256} << 20, sample_limit = size_t{1} << 20;  // bytes
 constexpr std::string_view asset_root = "crumple/1/asset/";
 
@@ -66,7 +66,8 @@ struct Gateway {
   uint64_t lives = 0;  // the last one; browsers stay when a gateway is started again, so it counts from the time
   std::map<std::string, WatchedCar, std::less<>> cars;
   std::map<std::string, Fetched, std::less<>> assets;  // by hash
-  std::set<std::string, std::less<>> hosts;
+  std::set<std::string, std::less<>> hosts;            // keys of what they told
+  uint64_t asking = 0;                                 // ticket of the question for what hosts told before; 0: none
   std::optional<Control> control;
   std::map<uint64_t, std::string> tickets;  // of questions: the id of a car, or the hash of an asset
 
@@ -102,6 +103,7 @@ void take_liveliness(Gateway& gateway, std::string_view key, bool alive) {
     gateway.server = alive;
     gateway.hosts.clear();
     need(web_forget(gateway.web, "host/"));
+    if (alive) need(net_get(gateway.net, (gateway.root + "inputs").c_str(), nullptr, 0, keyframe_ms, &gateway.asking));
   } else {
     const std::string id(key.substr(4));
     gateway.cars.erase(id);
@@ -211,8 +213,8 @@ void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t
   const std::string_view who = key.substr(0, slash), what = key.substr(slash + 1);
   if (who.starts_with("host/")) {
     if (what == "reactions") return take_reactions(gateway, bytes);
-    if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(who))) return;
-    gateway.hosts.emplace(who);
+    if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(key))) return;
+    gateway.hosts.emplace(key);
     return set(gateway, std::string(key), bytes);
   }
   const auto at = gateway.cars.find(who.substr(4));
@@ -224,8 +226,20 @@ void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t
     take_delta(gateway, at->first, at->second, bytes);
 }
 
+// Where hosts had cars and obstacles before this gateway began; what they have told since then stands.
+void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
+  const auto* message = verified<schema::Inputs>(bytes);
+  if (!message) return;
+  for (const auto* input : *message->inputs()) {
+    const std::string_view key = input->key()->string_view();
+    if (key.starts_with("host/") && !gateway.hosts.contains(key))
+      take_sample(gateway, key, {input->payload()->data(), input->payload()->size()});
+  }
+}
+
 void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t> bytes) {
   if (gateway.control && gateway.control->take_reply(event)) return;
+  if (event.ticket == gateway.asking && event.kind == NET_REPLY && !event.failed) return take_latest(gateway, bytes);
   const auto at = gateway.tickets.find(event.ticket);
   if (at == gateway.tickets.end()) return;
   const std::string name = at->second;

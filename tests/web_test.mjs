@@ -170,6 +170,10 @@ async function client() {
   await until("the line again", () => live.link === "live");
   await until("the surface again", async () => digits(live.cars.get("dented")?.surface.hash ?? 0n) === (await held()));
   assert.ok(live.cars.get("dented") !== dented, "a car of another gateway passes for the same");
+  const poles = () => [...live.obstacles.values()].flatMap(({ list }) => list).length;
+  await until("where the car stands, and the pole, told before this gateway began", () => live.cars.get("dented")?.pose && poles() === 1);
+  const [now, then] = [live.cars.get("dented").pose.position, dented.pose.position];
+  assert.ok(Math.hypot(...now.map((x, i) => x - then[i])) < 0.05, `it stands at ${now}, not at ${then}`);
   await end(server);
   await until("that the server is gone", () => !live.server && live.cars.size === 0);
   live.close();
