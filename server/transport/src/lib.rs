@@ -414,9 +414,8 @@ pub unsafe extern "C" fn web_answer(
     data: *const c_void,
     size: usize,
 ) -> c_int {
-    let answer = || unsafe {
-        borrow(web, "web")?.answer(ticket, status, text(media_type, "media_type")?, bytes(data, size, "data")?)
-    };
+    let answer =
+        || unsafe { borrow(web, "web")?.answer(ticket, status, text(media_type, "media_type")?, bytes(data, size, "data")?) };
     done(answer())
 }
 

@@ -90,7 +90,7 @@ struct Page {
 struct Shared {
     pages: Mutex<HashMap<String, Page>>,
     state: Mutex<Slots>,
-    changed: watch::Sender<u64>, // the last number
+    changed: watch::Sender<u64>,       // the last number
     requests: Mutex<Option<Requests>>, // None: nobody takes them
     browsers: AtomicUsize,
     loopback: bool, // reached from this machine only

@@ -219,16 +219,17 @@ class Recording:
     def lives(self) -> list[Life]:
         """Who was there, and when."""
         lives: list[Life] = []
-        asked: dict[str, Any] = {}
+        asked: dict[str, bytes] = {}  # not read yet: one that the server refused may be anything
         commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
         for tick, _, key, data in commands:
             car = key.split("/")[1]
             if not key.endswith("/answer"):
-                asked[car] = Command.GetRootAs(data)
+                asked[car] = data
                 continue
-            command = asked.pop(car, None)
-            if command is None or not Answer.GetRootAs(data).Ok():
+            order = asked.pop(car, None)
+            if order is None or not Answer.GetRootAs(data).Ok():
                 continue
+            command = Command.GetRootAs(order)
             if command.OrderType() == Order.Spawn:
                 spawn = Spawn()
                 spawn.Init(command.Order().Bytes, command.Order().Pos)
