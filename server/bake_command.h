@@ -10,8 +10,9 @@ namespace crumple {
 
 struct BakeCommandOptions {
   BakeOptions bake;
-  std::vector<size_t> nodes = {2'500};  // more than one: levels of the car
-  std::string output;                   // the baked car; of several NAME-NODES.car
+  std::vector<size_t> nodes;      // none: BakeOptions' own; more than one: levels of the car
+  std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: none
+  std::string output;             // the baked car; of several NAME-NODES.car
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence: file, fact, remedy.

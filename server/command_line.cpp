@@ -91,20 +91,23 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("bake", "Turns a surface mesh into a baked car: tetrahedra, constraints, skin, one file");
   BakeOptions& bake = options.bake;
-  verb.add_option("INPUT", bake.input, "OBJ, glTF, GLB, STL, PLY, ...; or built-in: the car that this program makes itself")
+  verb.add_option(
+          "INPUT", bake.input,
+          "OBJ, glTF, GLB, STL, PLY, ...; or a baked car, to paint it anew: its tets and skin stay; or built-in: the car "
+          "that this program makes itself")
       ->required();
   verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
   verb.add_option("--nodes", options.nodes,
-                  "wanted number of nodes, met within 15 %; several, as in 1000,5000: levels of the car, in CAR-1000.car ...")
+                  "wanted number of nodes, met within 15 %; several, as in 1000,5000: levels of the car, in CAR-1000.car ...; "
+                  "default: 2500")
       ->delimiter(',')
       ->allow_extra_args(false)
-      ->check(CLI::Range(100, 200'000))
-      ->capture_default_str();
+      ->check(CLI::Range(100, 200'000));
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")
       ->check(CLI::ExistingFile);
-  verb.add_option("--regions", bake.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
+  verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
       ->check(CLI::ExistingFile);
-  verb.add_option("--mass", bake.mass, "kg")->check(CLI::Range(1.0, 100'000.0))->capture_default_str();
+  verb.add_option("--mass", bake.mass, "kg; default: a baked car's own, else 1500")->check(CLI::Range(1.0, 100'000.0));
   const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
   verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
       ->check(axes);
@@ -112,10 +115,11 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   verb.add_option("--scale", bake.import.scale, "metres in one unit of the input")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  verb.add_option("--name", bake.name, "default: the input's file name");
+  verb.add_option("--name", bake.name, "default: a baked car's own, else the input's file name");
   verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
   verb.footer(
-      "Example: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'");
+      "Examples: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'\n"
+      "          crumple bake m130.car --regions painted.json -o painted.car");
   return [&options] { return bake_command(options); };
 }
 
@@ -232,9 +236,13 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
                   "phone in the same network, and from whoever else is in it")
       ->type_name("HOST:PORT")
       ->capture_default_str();
+  verb.add_flag("--control", options.control,
+                "lets browsers command the scene too: tune, repair, paint and replace any car; without it they only look")
+      ->excludes(file);
   verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
   verb.footer(
-      "Examples: crumple view\n          crumple view today.mcap --speed 0.25\n          crumple view before.mcap after.mcap");
+      "Examples: crumple view\n          crumple view --control\n          crumple view today.mcap --speed 0.25\n          "
+      "crumple view before.mcap after.mcap");
   verb.callback([speed, &options] {
     if (options.files.size() > 1 && !speed->empty())
       throw CLI::ValidationError("--speed", "is of one recording; beside two the page has a choice of its own");

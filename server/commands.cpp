@@ -30,8 +30,8 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
                                               std::to_string(world.limits.cars) +
                                               " cars that are allowed; despawn another first"};
   }
-  const auto asset = world.assets.find(order.asset);
-  if (asset == world.assets.end()) {
+  const Levels* levels = find_asset(world, order.asset);
+  if (!levels) {
     return Refusal{
         Reason::unknown_asset,
         "spawn: asset " + order.asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
@@ -43,7 +43,7 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
   }
   ++host->cars;
   Instance& car = world.cars[id];
-  car.levels = &asset->second;
+  car.levels = levels;
   car.car = car.levels->front();
   car.host = order.host;
   car.mass = mass_of(order, car.car->model);

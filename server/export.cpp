@@ -140,7 +140,7 @@ Shown begin(const std::string& id, Actor& actor, double time, const Export& out)
   shown.name = ++actor.assets == 1 ? id : id + "-" + std::to_string(actor.assets);
   shown.from = time;
   shown.quantum = actor.surface.quantum;
-  for (const auto& car : out.file.head().cars)
+  for (const auto& car : out.file.cars())
     if (car->hash == actor.surface.asset) shown.car = car;
   if (!shown.car)
     throw std::runtime_error(out.options.file + ": car " + id + " is made of " + actor.surface.asset +

@@ -66,7 +66,7 @@ void answer_until(Film& film, Clock::time_point due, const std::atomic<bool>& st
     for (int i = 0; i < got; ++i) {
       if (events[i].kind != NET_QUERY) continue;
       if (std::string_view(events[i].key).starts_with("crumple/1/asset/"))
-        answer_asset(film.net, events[i], film.file.head().cars);
+        answer_asset(film.net, events[i], film.file.cars());
       else if (std::string_view(events[i].key).ends_with("/inputs"))
         film.latest.answer(film.net, events[i].ticket);
       else

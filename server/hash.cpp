@@ -32,6 +32,10 @@ uint64_t hash(const World& of) {
   Sum sum;
   field(sum, world.rate, world.quantum);
   field(sum, world);
+  for (const Levels& levels : world.given) {
+    std::string given = levels.front()->hash;
+    field(sum, given);
+  }
   for (auto& [id, car] : world.cars) {
     std::string name = id, shown = car.levels->front()->hash, level = car.car->hash;
     field(sum, name, shown, level);

@@ -1,6 +1,7 @@
 // The messages of a tick, in the order they came. A bad one is refused whole, counted, answered if it was a query, and leaves
 // the world as it was.
 #include <algorithm>
+#include <stdexcept>
 
 #include "state.h"
 #include "wire/encode.h"
@@ -83,6 +84,16 @@ Verdict take_budget(World& world, const Bytes& bytes) {
   return std::nullopt;
 }
 
+Verdict take_asset(World& world, const Bytes& bytes) {
+  GivenAsset asset;
+  if (Verdict refusal = decode(bytes, world.limits, asset)) return refusal;
+  try {
+    return give(world, read_car(asset.car, "asset"));
+  } catch (const std::runtime_error& error) {
+    return Refusal{Reason::malformed, error.what()};
+  }
+}
+
 Verdict take_command(World& world, const std::string& car, const Bytes& bytes, Bytes& state) {
   Order order;
   if (Verdict refusal = decode(bytes, world.limits, order)) return refusal;
@@ -111,6 +122,10 @@ void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& 
           continue;
         case Address::Kind::budget:
           refusal = take_budget(world, message.bytes);
+          break;
+        case Address::Kind::asset:
+          refusal = take_asset(world, message.bytes);
+          command = true;
           break;
         case Address::Kind::command:
           refusal = take_command(world, to.id, message.bytes, state);

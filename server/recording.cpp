@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include "schema/message_generated.h"
+#include "wire/decode.h"
 #include "wire/surface.h"
 
 // The schema of all messages, in the file: a recording explains itself to any MCAP tool.
@@ -60,6 +61,7 @@ Channel channel_of(std::string_view key) {
   const auto ends = [&](std::string_view end) { return key.ends_with(end); };
   if (key == "health") return Channel::health;
   if (key == "budget") return Channel::budget;
+  if (key == "asset") return Channel::asset;
   if (key == "tick") return Channel::tick_end;
   if (key.starts_with("host/")) {
     if (ends("/poses")) return Channel::poses;
@@ -84,6 +86,8 @@ const char* table_of(Channel channel) {
       return "crumple.schema.Obstacles";
     case Channel::budget:
       return "crumple.schema.Budget";
+    case Channel::asset:
+      return "crumple.schema.Asset";
     case Channel::command:
       return "crumple.schema.Command";
     case Channel::reactions:
@@ -116,6 +120,8 @@ Recording::Recording(const std::string& path, const RecordingHead& head) : root_
   need(recorder_metadata(recorder_, "crumple", pointers.data()));
   for (const auto& car : head.cars)
     need(recorder_attach(recorder_, car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
+  for (const auto& car : head.given)
+    need(recorder_attach(recorder_, car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
   if (!head.world.empty()) need(recorder_attach(recorder_, "world", world_media_type, head.world.data(), head.world.size()));
 }
 
@@ -185,6 +191,7 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
       const auto* bytes = reinterpret_cast<const std::byte*>(data);
       if (std::strcmp(type, car_media_type) == 0)
         head_.cars.push_back(read_car({bytes, size}, path + " (recorded by " + head_.program + "): attachment " + name));
+      if (std::strcmp(type, given_media_type) == 0) given_[name] = read_car({bytes, size}, path + ": attachment " + name);
       if (std::strcmp(type, world_media_type) == 0) head_.world.assign(bytes, bytes + size);
     }
   } catch (...) {
@@ -231,7 +238,25 @@ bool RecordingReader::next(Item& item) {
   item.bytes = {message.data, message.size};
   item.tick = message.sequence;
   item.time_ns = message.log_time_ns;
+  if (item.channel == Channel::asset) take_asset(item.bytes);
   return true;
+}
+
+// One that the world refused is none here either.
+void RecordingReader::take_asset(std::span<const uint8_t> bytes) {
+  GivenAsset asset;
+  if (decode(std::as_bytes(bytes), head_.limits, asset)) return;
+  try {
+    const auto car = read_car(asset.car, path_);
+    given_[car->hash] = car;
+  } catch (const std::runtime_error&) {
+  }
+}
+
+std::vector<std::shared_ptr<const Car>> RecordingReader::cars() const {
+  auto all = head_.cars;
+  for (const auto& [hash, car] : given_) all.push_back(car);
+  return all;
 }
 
 void RecordingReader::rewind() { need(reader_rewind(reader_)); }

@@ -1,10 +1,10 @@
 // A recorded session: one MCAP file that holds everything its ticks were computed from, so that they can be computed again.
 //
-//   attachments   each car that could be spawned: name = its hash, the bytes of the baked file
+//   attachments   each car that could be spawned from the start: name = its hash, the bytes of the baked file
 //                 the world that the first tick began with, if it was not empty (server/snapshot.h)
 //   metadata      "crumple": program, scene, started, rate, quantum, and each limit under its name
 //   messages      topic = the key on the wire, "crumple/1/{scene}/...", schema = the FlatBuffers table, sequence = the tick
-//     .../host/{host}/poses, .../obstacles, .../car/{car} (Command), .../budget    inputs, in the order in which the
+//     .../host/{host}/poses, .../obstacles, .../car/{car} (Command), .../asset, .../budget    inputs, in the order in which the
 //                                                                       tick takes them
 //     .../host/{host}/reactions, .../car/{car}/key/{level}, .../delta/{level}, .../health    outputs
 //     .../car/{car}/answer                                              output: Answer to the Command
@@ -28,6 +28,7 @@ namespace crumple {
 // one name give the same bits, and a recording names the one that it can be verified with.
 extern const char* const program_name;
 inline constexpr const char* car_media_type = "application/vnd.crumple.car";
+inline constexpr const char* given_media_type = "application/vnd.crumple.given.car";  // given to that world before
 inline constexpr const char* world_media_type = "application/vnd.crumple.world";
 
 // What a fresh world is made of.
@@ -39,11 +40,12 @@ struct RecordingHead {
   float quantum = 0.0005f;
   Limits limits;
   std::vector<std::shared_ptr<const Car>> cars;
-  std::vector<std::byte> world;  // load_world; empty: a new one
+  std::vector<std::byte> world;                   // load_world; empty: a new one
+  std::vector<std::shared_ptr<const Car>> given;  // in it
 };
 
 // "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.
-enum class Channel { poses, obstacles, budget, command, reactions, keyframe, delta, answer, health, tick_end, other };
+enum class Channel { poses, obstacles, budget, asset, command, reactions, keyframe, delta, answer, health, tick_end, other };
 Channel channel_of(std::string_view key);
 // Of the key of a keyframe or delta: its surface level.
 inline size_t level_of(std::string_view key) { return size_t(key.back() - '0'); }
@@ -91,6 +93,8 @@ class RecordingReader {
   RecordingReader& operator=(const RecordingReader&) = delete;
 
   const RecordingHead& head() const { return head_; }
+  // Those of the head, and those that were given until the message that was read last.
+  std::vector<std::shared_ptr<const Car>> cars() const;
   bool cut() const { return reader_cut(reader_) == 1; }
 
   struct Item {
@@ -106,10 +110,12 @@ class RecordingReader {
 
  private:
   void read_metadata();
+  void take_asset(std::span<const uint8_t>);
 
   std::string path_;
   Reader* reader_ = nullptr;
   RecordingHead head_;
+  std::map<std::string, std::shared_ptr<const Car>> given_;  // by hash
   std::string root_;
 };
 

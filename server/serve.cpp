@@ -132,7 +132,10 @@ void start_recording(Server& server) {
   if (server.recording) server.recording->close();
   server.record = with_time(options.record);
   RecordingHead head;
-  if (tick_count(*server.world) > 0) head.world = save_world(*server.world);
+  if (tick_count(*server.world) > 0) {
+    head.world = save_world(*server.world);
+    head.given = given_cars(*server.world);
+  }
   head.scene = options.scene;
   head.started = with_time("%Y-%m-%dT%H:%M:%SZ");
   head.rate = options.rate;
@@ -201,7 +204,7 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0));
-  for (const char* what : {"car/*", "car/*/key/*", "replica/world", "inputs"})
+  for (const char* what : {"asset", "car/*", "car/*/key/*", "replica/world", "inputs"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
   need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
   need(net_announce(server.net, (server.root + "server").c_str()));
@@ -245,6 +248,12 @@ void take(Server& server, const NetEvent& event) {
   }
 }
 
+std::vector<std::shared_ptr<const Car>> all_cars(const Server& server) {
+  auto cars = given_cars(*server.world);
+  cars.insert(cars.end(), server.cars.begin(), server.cars.end());
+  return cars;
+}
+
 // The queries that this tick pays for, before its samples: who spawns a car and moves it at once is understood.
 void admit_queries(Server& server) {
   Inbox admitted;
@@ -261,7 +270,7 @@ void admit_queries(Server& server) {
       if (next.key == world_key)
         server.world_answers.answer(server.net, query, *server.world);
       else
-        answer_asset(server.net, query, server.cars);
+        answer_asset(server.net, query, all_cars(server));
     } else {
       admitted.push_back(std::move(next));
     }

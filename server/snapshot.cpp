@@ -16,7 +16,7 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 3;                       // to be counted up with every change of a field
+constexpr uint32_t format = 4;                       // to be counted up with every change of a field
 constexpr uint64_t latest_tick = uint64_t{1} << 53;  // whole in a double
 
 [[noreturn]] void refuse(const std::string& fact) { throw std::runtime_error("the snapshot of the world is damaged: " + fact); }
@@ -149,10 +149,10 @@ void check(const World& world) {
 }
 
 const Levels& levels_of(const World& world, const std::string& asset) {
-  const auto found = world.assets.find(asset);
-  if (found == world.assets.end())
+  const Levels* found = find_asset(world, asset);
+  if (!found)
     throw std::runtime_error("the snapshot of the world has a car of asset " + asset + ": give its file to --car here too");
-  return found->second;
+  return *found;
 }
 
 // hash of a body as baked, by asset.
@@ -195,6 +195,7 @@ void clear(World& world) {
   world.cars.clear();
   world.hosts.clear();
   world.obstacles.clear();
+  world.given.clear();
   world.tick = world.budget = 0;
 }
 
@@ -218,6 +219,12 @@ std::vector<std::byte> save_world(const World& of) {
   std::vector<std::string> assets = assets_of(world);
   file.resize(assets);
   for (std::string& asset : assets) field(file, asset);
+  uint64_t given = world.given.size();
+  field(file, given);
+  for (const Levels& levels : world.given) {
+    std::vector<std::byte> bytes(levels.front()->bytes.begin(), levels.front()->bytes.end());
+    field(file, bytes);
+  }
   field(file, world);
   field(file, cars);
   Pristine pristine;
@@ -250,6 +257,13 @@ bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
     if (assets != assets_of(world))
       throw std::runtime_error(
           "the snapshot of the world is of a server with other cars: give the same files to --car here too");
+    uint64_t given = 0;
+    field(file, given);
+    for (uint64_t k = 0; k < given; ++k) {
+      std::vector<std::byte> car;
+      field(file, car);
+      if (give(world, read_car(car, "the snapshot's asset"))) refuse("it has more assets than were given");
+    }
     field(file, world);
     field(file, cars);
     for (uint64_t k = 0; k < cars; ++k) load(file, world);

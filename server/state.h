@@ -6,6 +6,7 @@
 
 #include <array>
 #include <functional>
+#include <list>
 #include <map>
 #include <memory>
 #include <optional>
@@ -101,6 +102,7 @@ struct World {
   Limits limits;
   uint64_t budget = 0;                                                 // tet visits a tick; 0: as many as are asked for
   std::map<std::string, Levels> assets;                                // by hash
+  std::list<Levels> given;                                             // by who plays, the oldest first: of one level each
   std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // by hashes: from, to
   uint64_t tick = 0;                                                   // ticks done, or the one being done
   std::map<std::string, Instance> cars;
@@ -122,6 +124,10 @@ struct Asked {
   uint64_t ticket;
 };
 
+// Levels of an asset; null where it is unknown.
+const Levels* find_asset(const World&, const std::string& hash);
+// One more that may be spawned (given.cpp).
+[[nodiscard]] Verdict give(World&, std::shared_ptr<const Car>);
 // Takes the messages in, in order (inbox.cpp).
 void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
 // One command (commands.cpp). state: the answer to Save.

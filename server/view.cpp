@@ -14,6 +14,7 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <set>
 #include <span>
 #include <stdexcept>
@@ -21,6 +22,7 @@
 #include <utility>
 
 #include "answer.h"
+#include "control.h"
 #include "film.h"
 #include "recording.h"
 #include "schema/message_generated.h"
@@ -70,6 +72,7 @@ struct Gateway {
   bool late = false;                                   // what hosts told before is wanted
   uint64_t asking = 0;                                 // ticket of the question for it; 0: none
   Clock::time_point asked{};
+  std::optional<Control> control;
   std::map<uint64_t, std::string> tickets;  // of questions: the id of a car, or the hash of an asset
 
   ~Gateway() {
@@ -139,10 +142,12 @@ void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::
   std::snprintf(digits, sizeof digits, "%016llx",
                 static_cast<unsigned long long>(XXH64(asset.bytes.data(), asset.bytes.size(), 0)));
   asset.whole = hash == digits;
-  if (asset.whole)
+  if (asset.whole) {
     need(web_page(gateway.web, ("/asset/" + hash).c_str(), "application/octet-stream", asset.bytes.data(), asset.bytes.size()));
-  else
+    if (gateway.control) gateway.control->keep(hash, asset.bytes);
+  } else {
     std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
+  }
   asset.bytes = {};
 }
 
@@ -239,6 +244,7 @@ void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
 }
 
 void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t> bytes) {
+  if (gateway.control && gateway.control->take_reply(event)) return;
   if (event.ticket == gateway.asking) {
     if (event.kind == NET_REPLY_END) gateway.asking = 0;
     if (event.kind == NET_REPLY && !event.failed) take_latest(gateway, bytes);
@@ -291,10 +297,11 @@ void ask(Gateway& gateway) {
 void run(Gateway& gateway, const std::atomic<bool>& stop) {
   NetEvent events[64];
   while (!stop) {
-    const int got = net_poll(gateway.net, events, 64, 50'000);
+    const int got = net_poll(gateway.net, events, 64, gateway.control ? 10'000 : 50'000);
     need(got);
     for (int i = 0; i < got; ++i) take(gateway, events[i]);
     ask(gateway);
+    if (gateway.control) gateway.control->work();
   }
 }
 
@@ -379,11 +386,13 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   std::string scene = options.scene, connect = options.connect;
   need(web_open(options.listen.c_str(), &gateway.web));
   need(web_page(gateway.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
+  const std::string parameters = parameters_json(options.control);
+  need(web_page(gateway.web, "/parameters", "application/json", parameters.data(), parameters.size()));
   tell_alive(gateway);
   const std::string address = web_address(gateway.web);
   if (is_public(address))
-    std::fprintf(stderr, "crumple view: whoever reaches %s sees this scene; --listen 127.0.0.1:8080 is for this machine only\n",
-                 address.c_str());
+    std::fprintf(stderr, "crumple view: whoever reaches %s %s this scene; --listen 127.0.0.1:8080 is for this machine only\n",
+                 address.c_str(), options.control ? "commands" : "sees");
   if (options.files.size() > 1) return hand_out(gateway.web, options, stop), 0;
   if (!options.files.empty()) {
     scene = RecordingReader(options.files[0]).head().scene;
@@ -393,6 +402,7 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   gateway.root = "crumple/1/" + scene + "/";
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
+  if (options.control) gateway.control.emplace(gateway.net, gateway.web, gateway.root);
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
     need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})

@@ -16,6 +16,7 @@ struct ViewOptions {
   std::string network;  // JSON5 of zenoh's own configuration, laid over ours; empty: none
   std::string scene = "main";
   std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0: any free one, printed
+  bool control = false;                   // browsers may command cars, and paint them anew
   std::string page;                       // HTML file; empty: web/index.html beside the program
 };
 

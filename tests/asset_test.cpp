@@ -483,7 +483,7 @@ TEST(Regions, ComeFromAFileInItsOrder) {
     { name: "front", box: { center: {x: 0, y: 0, z: 0}, half: {x: 0.1, y: 3, z: 0.1},
                             orientation: {x: 0, y: 0, z: 0.70710678, w: 0.70710678} } } ] })");
   std::vector<std::string> report;
-  const Regions regions = paint_regions(mesh, {}, file, "box", report);
+  const Regions regions = paint_regions(mesh, {}, read_regions(file), "box", report);
   ASSERT_EQ(regions.name, (std::vector<std::string>{"body", "front", "core"}));
   for (size_t i = 0; i < mesh.node.size(); ++i) {
     const Vec3 p = mesh.node[i];
@@ -494,13 +494,25 @@ TEST(Regions, ComeFromAFileInItsOrder) {
   }
 }
 
+TEST(Regions, PaintTheNearestNodeWhereASphereLiesBetweenNodes) {
+  const TetMesh mesh = box_mesh({12, 4, 4}).tets;  // nodes 0.375 m apart and more
+  const Vec3 corner = mesh.node[0];
+  const std::string at =
+      "{x: " + number(corner.x() + 0.1) + ", y: " + number(corner.y() + 0.1) + ", z: " + number(corner.z()) + "}";
+  const RegionsText dab{"dab", "{regions: [{name: \"thin\", sphere: {center: " + at + ", radius: 0.02}}]}"};
+  std::vector<std::string> report;
+  const Regions regions = paint_regions(mesh, {}, dab, "box", report);
+  EXPECT_EQ(regions.node_region[0], 1);
+  EXPECT_EQ(std::count(regions.node_region.begin(), regions.node_region.end(), 1), 1);
+}
+
 TEST(Regions, RefuseAWrongFileWithASentence) {
   const Files files;
   const TetMesh mesh = box_mesh({}).tets;
   const auto why = [&](const std::string& text) {
     const auto file = files.write("paint.json", text);
     std::vector<std::string> report;
-    return refusal([&] { (void)paint_regions(mesh, {}, file, "box", report); });
+    return refusal([&] { (void)paint_regions(mesh, {}, read_regions(file), "box", report); });
   };
   expect_sentence(why(""), "paint.json", "regions.fbs");
   expect_sentence(why("not json"), "paint.json", "regions.fbs");
@@ -670,6 +682,35 @@ TEST(Bake, RefusesOptionsOutOfRange) {
   expect_sentence(why([](BakeOptions& o) { o.input = "built-in:many"; }), "built-in:many", "400");
   expect_sentence(why([](BakeOptions& o) { o.input = "built-in", o.nodes = 3; }), "--nodes 3", "100");
   expect_sentence(why([](BakeOptions& o) { o.input = "built-in", o.mass = -1; }), "--mass", "10");
+}
+
+TEST(Bake, OfABakedCarPaintsAsTheFirstBakeWouldHave) {
+  const Files files;
+  BakeOptions options;
+  options.input = files.write("box.obj", as_obj(box_surface({36, 14, 12}))).string();
+  options.tets = files.write("box.msh", as_gmsh(box_mesh({36, 14, 12}).tets));
+  options.mass = 1234.5;
+  options.attribution = "the tests";
+  const auto plain = bake(options, {}).car;
+  const RegionsText painted{"paint", R"({regions: [{name: "hood", sphere: {center: {x: 1.8, y: 0, z: 1.2}, radius: 0.6}},
+    {name: "cell", anchored: true, sphere: {center: {x: 0, y: 0, z: 0.75}, radius: 0.7}},
+    {name: "body", sphere: {center: {x: 0, y: 0.3, z: 0.75}, radius: 0.3}}]})"};
+  options.regions = painted;
+  const auto at_once = bake(options, {}).car;
+
+  BakeOptions again;
+  again.input = files.folder.path / "plain.car";
+  write_car(*plain, again.input);
+  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // nothing painted: the very car
+  again.regions = painted;
+  const auto later = bake(again, {}).car;
+  EXPECT_EQ(later->hash, at_once->hash);  // every byte: tets, skin, masses, name and whom to credit too
+  EXPECT_EQ(later->regions, (std::vector<std::string>{"body", "hood", "cell"}));
+  EXPECT_NE(later->hash, plain->hash);
+  again.input = files.folder.path / "painted.car";
+  write_car(*later, again.input);
+  again.regions.reset();
+  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // and back: of the painting before nothing is left
 }
 
 TEST(Bake, SaysWhereACarCannotBeWritten) {

@@ -76,6 +76,11 @@ inline Bytes spawn(const std::string& asset, const std::string& owner, const sch
   Builder builder;
   return command(builder, schema::CreateSpawnDirect(builder, asset.c_str(), owner.c_str(), &pose, mass));
 }
+inline Bytes asset(const Car& car) {
+  Builder builder;
+  const auto bytes = builder.CreateVector(reinterpret_cast<const uint8_t*>(car.bytes.data()), car.bytes.size());
+  return done(builder, schema::CreateAsset(builder, bytes));
+}
 inline Bytes despawn() {
   Builder builder;
   return command(builder, schema::CreateDespawn(builder));

@@ -73,6 +73,7 @@ try:
     export = [BUILD / "crumple", "export", ROOT / "recordings/built_in_pole.mcap", "-o", folder / "export"]
     subprocess.run(export, check=True, stdout=subprocess.DEVNULL)
     shutil.copy(folder / "export/car.glb", folder / "vehicle.glb")
+    (folder / "paint.json").write_text('{regions: [{name: "front", sphere: {center: {x: 1.8, y: 0, z: 0.6}, radius: 0.5}}]}')
     said = {}
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -2,6 +2,7 @@
 //   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
 //   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
 //   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
+//   node tests/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
 //   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
 // WEB: the folder build/web.
 import assert from "node:assert/strict";
@@ -17,7 +18,7 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 const patience = 90_000; // ms, for a machine under load with sanitizers on
 const here = fileURLToPath(new URL(".", import.meta.url));
 const [mode, program, car, web] = process.argv.slice(2);
-const { digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
+const { Control, digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
 
 async function until(what, condition) {
   for (const end = Date.now() + patience; Date.now() < end; await new Promise((wait) => setTimeout(wait, 20))) {
@@ -219,12 +220,12 @@ function checkFilm(recording, hash) {
 }
 
 // A page at this address, and what its console says.
-async function openPage(path, url, viewport) {
+async function openPage(path, url, options) {
   const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
   const browser = await browsers.launch({
     executablePath: path, args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"], timeout: patience,
   });
-  const opened = await browser.newPage({ viewport });
+  const opened = await browser.newPage(options);
   opened.setDefaultTimeout(patience);
   const console_ = [];
   opened.on("console", (message) => console_.push(message.text()));
@@ -247,7 +248,7 @@ async function page(path, keep) {
   const url = await address(gateway);
   const hash = await lastHash(url);
   checkFilm(new Uint8Array(readFileSync(recording)), hash);
-  const { browser, opened, console_ } = await openPage(path, url, { width: 560, height: 320 });
+  const { browser, opened, console_ } = await openPage(path, url, { viewport: { width: 560, height: 320 } });
   // The crash is over: the page has its last surface, and the car stands. Then it is stopped there.
   await opened.waitForFunction((wanted) => {
     const { live, shown } = window.crumple, [item] = shown.values();
@@ -371,7 +372,7 @@ async function comparison(path) {
     return { lengths, largest: Math.max(...lengths), rms: Math.sqrt(lengths.reduce((sum, x) => sum + x * x, 0) / lengths.length) };
   };
   const gateway = view(...recordings, "--listen", "127.0.0.1:0");
-  const { browser, opened, console_ } = await openPage(path, await said(gateway, /open (http:\S+) in a browser/), { width: 820, height: 340 });
+  const { browser, opened, console_ } = await openPage(path, await said(gateway, /open (http:\S+) in a browser/), { viewport: { width: 820, height: 340 } });
   await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
   assert.deepEqual((await opened.innerText("#names")).split(/\s+/), ["built_in_pole.mcap", "built_in_roof_drop.mcap"]);
   // In ticks after the first contact: recordings begin with tick 1, and the later contact is where it is on the clock of both.
@@ -416,6 +417,168 @@ async function comparison(path) {
   rmSync(folder, { recursive: true });
 }
 
+// ---- the page that commands ----
+
+const none = "0000000000000000";
+
+// What is asked of a gateway, and with which status and sentence it is refused.
+async function checkRefusals(url, asset) {
+  const ask = async (path, body, headers = {}) => {
+    const answer = await fetch(new URL(path, url), { method: "POST", body, headers });
+    return `${answer.status} ${await answer.text()}`;
+  };
+  assert.match(await ask(`paint/${asset}`, "{regions: [}"), /^422 .*regions\.fbs/s);
+  assert.match(await ask(`paint/${asset}`, '{regions: [{name: "far", sphere: {center: {x: 99, y: 0, z: 0}, radius: 1}}]}'), /^422 .*holds no node/s);
+  assert.match(await ask(`paint/${none}`, "{regions: []}"), /^404 /);
+  assert.match(await ask("elsewhere", ""), /^404 /);
+  assert.match(await ask("command/car/*", ""), /^400 /, "all cars at once");
+  assert.match(await ask(`paint/${asset}`, "x".repeat((1 << 20) + 1)), /^413 /);
+  assert.match(await ask(`paint/${asset}`, "{regions: []}", { Origin: "http://another.example" }), /^403 /, "a page of another site commands");
+  const control = await Control.find(url);
+  await assert.rejects(control.repair("nobody"), /nobody does not live here/);
+  await assert.rejects(control.spawn("x", none, "page", { position: [0, 0, 0], orientation: [0, 0, 0, 1] }), /not one of this server's/);
+  return control;
+}
+
+// A pole comes along and hits what stands at the origin, at 8 m/s; how deep the dent of that car is then, m.
+async function hit(live, folder, options) {
+  const scene = resolve(folder, "hit.json"), zero = { x: 0, y: 0, z: 0 };
+  writeFileSync(scene, JSON.stringify({
+    about: "A pole that comes.",
+    obstacles: [{ id: 1, shape: "capsule", size: { x: 0.15, y: 3, z: 0 }, velocity: { x: -8, y: 0, z: 0 },
+      pose: { position: { x: 6, y: 0, z: 2 }, orientation: { ...zero, w: 1 } } }],
+    hits: [{ position: { x: 0, y: 80, z: 0 }, direction: { x: 1, y: 0, z: 0 }, speed_kmh: 0, seconds: 1.5 }],
+  }));
+  const drive = start("drive", scene, "--car", car, ...options, "--id", "bystander");
+  assert.equal(await drive.ended, 0, "drive failed");
+  const { quanta, quantum } = live.cars.get("painted").surface;
+  return quantum * quanta.reduce((most, q) => Math.max(most, Math.abs(q)), 0);
+}
+
+async function download(opened, button, file) {
+  const [came] = await Promise.all([opened.waitForEvent("download"), opened.click(button)]);
+  await came.saveAs(file);
+  return file;
+}
+
+async function control(path) {
+  const folder = mkdtempSync(resolve(tmpdir(), "crumple-web-"));
+  try {
+    return await controlIn(path, folder);
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+}
+
+async function controlIn(path, folder) {
+  const info = async (file) => {
+    const told = start("info", file);
+    assert.equal(await told.ended, 0);
+    return told.text;
+  };
+  const asset = /\b[0-9a-f]{16}\b/.exec(await info(car))[0], recording = resolve(folder, "session.mcap");
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web", "--record", recording);
+  const options = ["--connect", await said(server, /at (tcp\S+),/), "--scene", "web"];
+  const shows = view(...options, "--listen", "127.0.0.1:0"), urlThatShows = await address(shows);
+  assert.equal((await fetch(new URL("command/car/painted", urlThatShows), { method: "POST", body: "" })).status, 403, "it commands without --control");
+  assert.equal(await Control.find(urlThatShows), null);
+  await end(shows);
+
+  const gateway = view(...options, "--control", "--listen", "127.0.0.1:0"), url = await address(gateway), live = new Live(url);
+  await until("the scene's server", () => live.server);
+  const commander = await Control.find(url), origin = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+  await commander.spawn("painted", asset, "page", origin);
+  await until("the asset at the gateway", () => live.cars.get("painted")?.baked);
+  await checkRefusals(url, asset);
+
+  const { browser, opened, console_ } = await openPage(path, url, { viewport: { width: 760, height: 480 }, hasTouch: true, acceptDownloads: true });
+  await opened.waitForFunction(() => window.crumple.tools() && [...window.crumple.shown.values()][0]?.mesh);
+  const answered = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#tool-answer").textContent), pattern.source);
+
+  // Painted: a region in a stroke, another that is undone, by touch; and an anchor.
+  await opened.click("#paint summary");
+  await opened.click("#paint-on");
+  await opened.waitForFunction(() => window.crumple.tools().paint.showing);
+  const at = (point) => opened.evaluate((there) => window.crumple.tools().paint.screen(there), point);
+  const legend = () => opened.innerText("#paint-legend");
+  const stroke = async (...points) => {
+    for (const [i, point] of points.entries()) {
+      const { x, y } = await at(point);
+      await opened.mouse.move(x, y, { steps: 3 });
+      if (i === 0) await opened.mouse.down();
+    }
+    await opened.mouse.up();
+  };
+  await opened.fill("#paint-name", "hood");
+  await stroke([1.6, -0.3, 0.8], [1.6, 0.3, 0.8]);
+  assert.equal(await legend(), "hood");
+  await opened.fill("#paint-name", "mistake");
+  const { x, y } = await at([0, -0.9, 0.5]);
+  await opened.touchscreen.tap(x, y);
+  assert.equal(await legend(), "hood\nmistake");
+  await opened.click("#paint-undo");
+  assert.equal(await legend(), "hood");
+  await opened.selectOption("#paint-kind", "anchor");
+  await opened.fill("#paint-name", "cell");
+  await opened.focus("#paint-radius");
+  await opened.keyboard.press("End");
+  await stroke([-0.2, -0.9, 0.5]);
+  assert.equal(await legend(), "hood\ncell, anchored");
+
+  // Re-baked: the car in the scene is what the program bakes of the saved regions.
+  await opened.click("#paint-bake");
+  await answered(/is now [0-9a-f]{16}: body, hood, cell;/);
+  const regions = await download(opened, "#paint-save", resolve(folder, "regions.json"));
+  const painted = await download(opened, "#paint-car", resolve(folder, "painted.car")), byHand = resolve(folder, "by_hand.car");
+  assert.equal(await start("bake", car, "--regions", regions, "-o", byHand).ended, 0);
+  assert.ok(readFileSync(painted).equals(readFileSync(byHand)), "the page's car is another than that of its regions file");
+  const told = await info(painted), hash = /\b[0-9a-f]{16}\b/.exec(told)[0];
+  assert.match(told, /regions body hood cell\n/);
+  assert.match(told, /\([1-9]\d* anchored\)/);
+  assert.notEqual(hash, asset);
+  await until("the painted car in the scene", () => live.cars.get("painted")?.surface.asset === hash);
+
+  // Hit, and hit again when a slider has made it stiff: the server has taken what the page sent.
+  const soft = await hit(live, folder, options);
+  await commander.despawn("painted");
+  await commander.spawn("painted", hash, "page", origin);
+  await until("the car as new", () => live.cars.get("painted")?.surface.quanta.every((q) => q === 0));
+  await opened.click("#tune summary");
+  await opened.waitForFunction(() => document.querySelectorAll("#tune-region option").length === 4);
+  await opened.fill('[aria-label="young modulus, number"]', "1e12");
+  await opened.keyboard.press("Enter");
+  await answered(/refused: .*young_modulus.* allowed are 10000 to 1e\+10 Pa/);
+  await opened.evaluate(() => {
+    const slider = document.querySelector("#tune-young_modulus");
+    slider.value = Number(slider.value) + 100;
+    slider.dispatchEvent(new Event("input"));
+  });
+  await answered(/painted, all regions: young_modulus [\d.e]+/);
+  const [preset] = JSON.parse(readFileSync(await download(opened, "#tune-save", resolve(folder, "preset.json")), "utf8")).parameters;
+  assert.ok(preset.young_modulus > 3e7, "the preset is not what the slider says");
+  const stiff = await hit(live, folder, options);
+  assert.ok(soft > 0.1 && stiff < 0.8 * soft, `the slider changed nothing: ${soft} m, and ${stiff} m when stiff`);
+  await opened.click("#tune-repair");
+  await answered(/painted is repaired/);
+  await until("that it is repaired", () => live.cars.get("painted").surface.quanta.every((q) => q === 0));
+  const [chooser] = await Promise.all([opened.waitForEvent("filechooser"), opened.click("#tune-load")]);
+  await chooser.setFiles(resolve(here, "../clients/presets/stiff_old.json"));
+  await answered(/painted has stiff_old\.json/);
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  live.close();
+
+  // What happened is in the recording, the painted car too.
+  await end(gateway);
+  assert.equal(await end(server), 0);
+  const verified = start("replay", recording, "--verify");
+  assert.equal(await verified.ended, 0, verified.text);
+  const film = Film.read(new Uint8Array(readFileSync(recording)));
+  film.seek(film.duration);
+  assert.deepEqual(film.cars.get("painted")?.baked?.regions, ["body", "hood", "cell"]);
+  console.log(`painted ${hash}; dents of ${(1000 * soft).toFixed(0)} mm, and ${(1000 * stiff).toFixed(0)} mm when stiff`);
+}
+
 // In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
 async function compare(pictures) {
   const [a, b] = await Promise.all(pictures.map(async (source) => {
@@ -441,7 +604,7 @@ try {
   const path = chromium();
   if (mode === "client") await client();
   else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
-  else await (mode === "compare" ? comparison(path) : page(path, mode === "keep"));
+  else await (mode === "compare" ? comparison(path) : mode === "control" ? control(path) : page(path, mode === "keep"));
   code = mode === "client" || path ? 0 : 77;
 } catch (error) {
   console.error(error);

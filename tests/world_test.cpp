@@ -696,6 +696,60 @@ TEST(State, AWorldSavedInMidCrashGoesOnBitForBit) {
   EXPECT_GT(scene.car("a").touched_tick, 40u) << "it crashed once more";
 }
 
+TEST(Given, ACarThatCameByAMessageIsSpawnedAndEveryReplicaHasIt) {
+  const auto painted = box_car({2, 2, 2});
+  Scene scene, replica;
+  const Inbox inboxes[] = {
+      {{"car/a", host::spawn(painted->hash, "game"), 1}},  // not here yet
+      {{"asset", host::asset(*painted), 2}, {"car/a", host::spawn(painted->hash, "game"), 3}},
+      {},
+  };
+  for (const Inbox& inbox : inboxes) {
+    scene.step(inbox);
+    replica.step(inbox);
+    EXPECT_EQ(hash(*scene.world), hash(*replica.world));
+  }
+  EXPECT_EQ(cars(*scene.world), std::vector<std::string>{"a"});
+  EXPECT_EQ(given_cars(*scene.world).size(), 1u);
+  Scene late;
+  load_world(save_world(*scene.world), *late.world);
+  EXPECT_EQ(hash(*late.world), hash(*scene.world));
+  EXPECT_EQ(late.ask("b", host::spawn(painted->hash, "game")), "");
+}
+
+TEST(Given, WhatIsNoCarIsRefusedAndChangesNothing) {
+  Scene scene, calm;
+  Bytes damaged = host::asset(*box());
+  damaged.resize(damaged.size() / 2);
+  const auto sentence = [&](const Bytes& bytes) {
+    scene.step({{"asset", bytes, 1}});
+    calm.step();
+    EXPECT_EQ(hash(*scene.world), hash(*calm.world));
+    const auto* answer = host::read_as<schema::Answer>(scene.outbox.front().bytes);
+    return answer->ok() ? std::string() : answer->sentence()->str();
+  };
+  EXPECT_TRUE(contains(sentence(damaged), "asset"));
+  host::Builder builder;
+  const std::vector<uint8_t> noise(100, 7);
+  EXPECT_TRUE(contains(sentence(host::done(builder, schema::CreateAssetDirect(builder, &noise))), "asset"));
+}
+
+TEST(Given, TheOldestThatNobodyDrivesGoesForANewOne) {
+  Scene scene;
+  std::vector<std::shared_ptr<const Car>> given;
+  for (int cells = 1; cells <= 18; ++cells) {
+    given.push_back(box_car({cells, 1, 3}));
+    scene.step({{"asset", host::asset(*given.back()), 1}});
+    if (cells == 1) {
+      EXPECT_EQ(scene.ask("driven", host::spawn(given.front()->hash, "game")), "");
+    }
+  }
+  EXPECT_EQ(given_cars(*scene.world).size(), 16u);
+  EXPECT_EQ(scene.ask("again", host::spawn(given[0]->hash, "game")), "");
+  EXPECT_TRUE(contains(scene.ask("gone", host::spawn(given[1]->hash, "game")), "not one of this server's"));
+  EXPECT_EQ(scene.ask("newest", host::spawn(given.back()->hash, "game")), "");
+}
+
 TEST(State, TheSumOfACarThatRestsAgainstAWallIsItsBodysWhateverTheWallDoes) {
   Scene scene;
   scene.spawn("a");

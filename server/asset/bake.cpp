@@ -27,10 +27,8 @@ constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
 
 // What is cheap to know before the tets are made.
 void check_options(const BakeOptions& options) {
-  if (!(options.mass >= least_mass && options.mass <= most_mass))
+  if (options.mass != 0 && !(options.mass >= least_mass && options.mass <= most_mass))
     throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
-  if (!options.regions.empty() && !std::filesystem::exists(options.regions))
-    throw std::runtime_error(options.regions.string() + ": there is no such regions file; check the path.");
 }
 
 // ---- input -------------------------------------------------------------------------------------------------------------
@@ -139,7 +137,9 @@ void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions
 
 }  // namespace
 
-BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& options) {
+BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given) {
+  BakeOptions options = given;
+  if (options.mass == 0) options.mass = default_mass;
   BakeResult out;
   order_spatially(surface);
   order_spatially(tets);
@@ -156,6 +156,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& option
 
 BakeResult bake(const BakeOptions& options, const Progress& progress) {
   check_options(options);
+  if (is_baked_car(options.input)) return rebake(*load_car(options.input), options);
   const ImportedSurface input = read_surface(options);
   std::vector<std::string> report = input.report;
   TetMesh tets = options.tets.empty() ? tetrahedralise(input, options.nodes, options.input, progress, report)
@@ -164,6 +165,26 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   BakeResult out = assemble_car(input.surface, std::move(tets), options);
   out.report.insert(out.report.begin(), report.begin(), report.end());
   return out;
+}
+
+bool is_baked_car(const std::filesystem::path& file) {
+  char head[8] = {};
+  std::ifstream(file, std::ios::binary).read(head, sizeof head);
+  return schema::CarBufferHasIdentifier(head);
+}
+
+// Nodes, tets and vertices are in spatial order already, and ordering those again changes nothing.
+BakeResult rebake(const Car& car, BakeOptions options) {
+  check_options(options);
+  const Model& model = car.model;
+  Surface surface{{model.vertex.begin(), model.vertex.end()}, {}, {}};
+  for (size_t i = 0; i < model.triangle.size(); i += 3)
+    surface.triangle.push_back({model.triangle[i], model.triangle[i + 1], model.triangle[i + 2]});
+  if (options.mass == 0) options.mass = double(model.mass);
+  if (options.name.empty()) options.name = car.name;
+  if (options.attribution.empty()) options.attribution = car.attribution;
+  return assemble_car(std::move(surface), {{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}},
+                      options);
 }
 
 void write_car(const Car& car, const std::filesystem::path& file) {

@@ -4,25 +4,28 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "asset/car.h"
 #include "asset/make_tets.h"
 #include "asset/mesh.h"
+#include "asset/paint_regions.h"
 
 namespace crumple {
 
 struct BakeOptions {
-  std::string input;              // a surface mesh file, or "built-in" or "built-in:VERTICES"
-  size_t nodes = 2'500;           // wanted from fTetWild, met within 15 %
-  std::filesystem::path tets;     // tets made elsewhere, in the surface's coordinates; empty: fTetWild
-  std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: the default safety cell
-  double mass = 1'500;            // kg
-  ImportOptions import;           // axes and unit of the input
-  std::string name;               // empty: the input's file name
-  std::string attribution;        // empty: "not stated" for a file
+  std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
+  size_t nodes = 2'500;                // wanted from fTetWild, met within 15 %
+  std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: fTetWild
+  std::optional<RegionsText> regions;  // none: the default safety cell
+  double mass = 0;                     // kg; 0: a baked car's own, else default_mass
+  ImportOptions import;                // axes and unit of the input
+  std::string name;                    // empty: a baked car's own, else the input's file name
+  std::string attribution;             // empty: a baked car's own, else "not stated" for a file
 };
+inline constexpr double default_mass = 1'500;  // kg
 
 struct BakeResult {
   std::shared_ptr<const Car> car;
@@ -34,6 +37,11 @@ BakeResult bake(const BakeOptions&, const Progress&);
 
 // The part of it that comes after the tets; what tests and benchmarks call.
 BakeResult assemble_car(Surface, TetMesh, const BakeOptions&);
+
+bool is_baked_car(const std::filesystem::path& file);
+// A baked car painted anew: its surface, tets and skin stay; regions, anchors and what depends on them become what a bake of
+// its input with these options would have given. No tets are made, so it takes milliseconds.
+BakeResult rebake(const Car&, BakeOptions);
 
 // Writes beside the file first and then renames, so that no half car is ever left. Throws like bake.
 void write_car(const Car&, const std::filesystem::path& file);

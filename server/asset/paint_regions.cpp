@@ -25,6 +25,9 @@ namespace {
 // Shares of the length left free at either end, and depths under the skin, m: frontal crush was the same within 0.15-0.25 and
 // 0.1-0.3; the shallower ones are for bodies with no room for the first.
 constexpr float free_end = 0.18f;
+// How far from its nearest node a painted sphere may be, m: past the widest gap between the nodes of a car, and nowhere near
+// the thousand-fold of a wrong unit.
+constexpr float between_nodes = 0.3f;
 constexpr double cell_depths[] = {0.20, 0.15, 0.10, 0.05, 0.02};
 
 // ---- regions ---------------------------------------------------------------------------------------------------------
@@ -61,14 +64,11 @@ void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& region
 }
 
 // FlatBuffers' own parser turns the JSON into a table. Its sentence begins with file and line.
-schema::PaintRegionsT parse_regions(const std::filesystem::path& file) {
-  std::string text;
-  if (!flatbuffers::LoadFile(file.c_str(), false, &text))
-    throw std::runtime_error(file.string() + ": the regions file cannot be read; check the path.");
+schema::PaintRegionsT parse_regions(const RegionsText& regions_text) {
   flatbuffers::Parser parser;
   if (!parser.Deserialize(regions_schema, static_cast<size_t>(regions_schema_end - regions_schema)))
     throw std::runtime_error("the regions schema inside this program is damaged: build it again");
-  if (!parser.ParseJson(text.c_str(), file.c_str()))
+  if (!parser.ParseJson(regions_text.text.c_str(), regions_text.source.c_str()))
     throw std::runtime_error(parser.error_ + " (the form of a regions file: schema/regions.fbs, with an example).");
   schema::PaintRegionsT regions;
   flatbuffers::GetRoot<schema::PaintRegions>(parser.builder_.GetBufferPointer())->UnPackTo(&regions);
@@ -112,23 +112,41 @@ Shape read_shape(const schema::PaintRegionT& region, const std::string& where) {
   return shape;
 }
 
-void paint_by_file(const TetMesh& mesh, const std::filesystem::path& file, Regions& regions, std::vector<std::string>& report) {
-  for (const auto& region : parse_regions(file).regions) {
-    const Shape shape = read_shape(*region, file.string() + ": region \"" + region->name + "\"");
-    const uint8_t index = region_index(regions, region->name, file.string());
-    size_t painted = 0;
-    for (size_t i = 0; i < mesh.node.size(); ++i) {
-      if (!shape.holds(mesh.node[i])) continue;
+// The nodes in the shape. Of a sphere that lies between nodes the nearest one, so that a thin place can be painted too.
+std::vector<uint32_t> nodes_in(const TetMesh& mesh, const Shape& shape) {
+  std::vector<uint32_t> inside;
+  uint32_t nearest = 0;
+  const auto squared = [&](uint32_t i) { return (mesh.node[i] - shape.center).squaredNorm(); };
+  for (uint32_t i = 0; i < mesh.node.size(); ++i) {
+    if (shape.holds(mesh.node[i])) inside.push_back(i);
+    if (squared(i) < squared(nearest)) nearest = i;
+  }
+  if (inside.empty() && shape.radius > 0 && squared(nearest) <= between_nodes * between_nodes) inside.push_back(nearest);
+  return inside;
+}
+
+void paint_by_text(const TetMesh& mesh, const RegionsText& text, Regions& regions, std::vector<std::string>& report) {
+  for (const auto& region : parse_regions(text).regions) {
+    const Shape shape = read_shape(*region, text.source + ": region \"" + region->name + "\"");
+    const uint8_t index = region_index(regions, region->name, text.source);
+    const std::vector<uint32_t> painted = nodes_in(mesh, shape);
+    if (painted.empty())
+      throw std::runtime_error(
+          text.source + ": region \"" + region->name +
+          "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
+    for (const uint32_t i : painted) {
       regions.node_region[i] = index;
       regions.node_anchored[i] = region->anchored;
-      ++painted;
     }
-    if (painted == 0)
-      throw std::runtime_error(
-          file.string() + ": region \"" + region->name +
-          "\" holds no node; place it in the car's frame (X forward, Y left, Z up, metres) or make it larger.");
-    report.push_back("region \"" + region->name + "\": " + std::to_string(painted) + " nodes" +
-                     (region->anchored ? ", anchored" : ""));
+  }
+  for (size_t index = 0; index < regions.name.size(); ++index) {
+    size_t nodes = 0, anchored = 0;
+    for (size_t i = 0; i < mesh.node.size(); ++i) {
+      nodes += regions.node_region[i] == index;
+      anchored += regions.node_region[i] == index && regions.node_anchored[i];
+    }
+    report.push_back("region \"" + regions.name[index] + "\": " + std::to_string(nodes) + " nodes" +
+                     (anchored ? ", " + std::to_string(anchored) + " of them anchored" : ""));
   }
 }
 
@@ -216,11 +234,18 @@ uint8_t most_common(const Tet& tet, const std::vector<uint8_t>& node_region) {
 
 }  // namespace
 
-Regions paint_regions(const TetMesh& mesh, const Surface& surface, const std::filesystem::path& regions_file,
+RegionsText read_regions(const std::filesystem::path& file) {
+  RegionsText regions{file.string(), {}};
+  if (!flatbuffers::LoadFile(file.c_str(), false, &regions.text))
+    throw std::runtime_error(regions.source + ": the regions file cannot be read; check the path.");
+  return regions;
+}
+
+Regions paint_regions(const TetMesh& mesh, const Surface& surface, const std::optional<RegionsText>& text,
                       const std::string& name, std::vector<std::string>& report) {
   Regions regions{{"body"}, std::vector<uint8_t>(mesh.node.size(), 0), std::vector<uint8_t>(mesh.node.size(), 0), {}};
   paint_by_color(mesh, surface, regions, report);
-  if (!regions_file.empty()) paint_by_file(mesh, regions_file, regions, report);
+  if (text) paint_by_text(mesh, *text, regions, report);
   const auto anchored = std::count(regions.node_anchored.begin(), regions.node_anchored.end(), 1);
   if (anchored == 0) anchor_default_cell(mesh, name, regions, report);
   report_loose_parts(mesh, regions, report);

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,9 +20,16 @@ struct Regions {
   std::vector<uint8_t> tet_region;     // t: that of most of its corners, the lowest of equals
 };
 
-// regions_file: JSON as in schema/regions.fbs; empty: none. name: stands for the car in messages. Appends what it did to
-// `report`. Throws std::runtime_error with a sentence when the file is wrong or no node is left to anchor.
-Regions paint_regions(const TetMesh&, const Surface&, const std::filesystem::path& regions_file, const std::string& name,
+// JSON as in schema/regions.fbs; source: stands for it in messages.
+struct RegionsText {
+  std::string source, text;
+};
+// Throws std::runtime_error with a sentence.
+RegionsText read_regions(const std::filesystem::path& file);
+
+// name: stands for the car in messages. Appends what it did to `report`. Throws std::runtime_error with a sentence when the
+// text is wrong or no node is left to anchor.
+Regions paint_regions(const TetMesh&, const Surface&, const std::optional<RegionsText>&, const std::string& name,
                       std::vector<std::string>& report);
 
 }  // namespace crumple

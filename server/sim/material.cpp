@@ -5,42 +5,42 @@
 namespace crumple {
 namespace {
 
-struct Range {
-  const char* name;
-  float Material::*field;
-  float low, high;
-  const char* unit;
-};
+template <auto Field>
+float of_region(const Parameters& parameters, int region) {
+  return parameters.region[size_t(region)].*Field;
+}
+template <auto Field>
+float of_car(const Parameters& parameters, int) {
+  return parameters.*Field;
+}
+
 constexpr Range ranges[] = {
-    {"young_modulus", &Material::young_modulus, 1e4f, 1e10f, " Pa"},
-    {"poisson_ratio", &Material::poisson_ratio, 0, 0.45f, ""},
-    {"yield", &Material::yield, 0, 1, ""},
-    {"hardening", &Material::hardening, 0, 1, ""},
-    {"plastic_limit", &Material::plastic_limit, 0, 3, ""},
-    {"viscosity", &Material::viscosity, 0, 1e9f, " N s/m^4"},
-    {"distance_stiffness", &Material::distance_stiffness, 0, 1, ""},
-    {"volume_stiffness", &Material::volume_stiffness, 0, 1, ""},
-    {"plasticity", &Material::plasticity, 0, 1, ""},
+    {"iterations", 1, 1000, "", false, true, of_car<&Parameters::iterations>},
+    {"tolerance", 0, 0.1f, " m", false, false, of_car<&Parameters::tolerance>},
+    {"substeps", 1, 64, "", false, true, of_car<&Parameters::substeps>},
+    {"young_modulus", 1e4f, 1e10f, " Pa", true, false, of_region<&Material::young_modulus>},
+    {"poisson_ratio", 0, 0.45f, "", true, false, of_region<&Material::poisson_ratio>},
+    {"yield", 0, 1, "", true, false, of_region<&Material::yield>},
+    {"hardening", 0, 1, "", true, false, of_region<&Material::hardening>},
+    {"plastic_limit", 0, 3, "", true, false, of_region<&Material::plastic_limit>},
+    {"viscosity", 0, 1e9f, " N s/m^4", true, false, of_region<&Material::viscosity>},
+    {"distance_stiffness", 0, 1, "", true, false, of_region<&Material::distance_stiffness>},
+    {"volume_stiffness", 0, 1, "", true, false, of_region<&Material::volume_stiffness>},
+    {"plasticity", 0, 1, "", true, false, of_region<&Material::plasticity>},
 };
 
 }  // namespace
 
+std::span<const Range> parameter_ranges() { return ranges; }
+
 std::optional<std::string> out_of_range(const Parameters& parameters) {
-  if (parameters.iterations < 1 || parameters.iterations > 1000) {
-    return "iterations is " + std::to_string(parameters.iterations) + "; allowed are 1 to 1000";
-  }
-  if (!(parameters.tolerance >= 0 && parameters.tolerance <= 0.1f)) {
-    return "tolerance is " + std::to_string(parameters.tolerance) + " m; allowed are 0 to 0.1 m";
-  }
-  if (parameters.substeps < 1 || parameters.substeps > 64) {
-    return "substeps is " + std::to_string(parameters.substeps) + "; allowed are 1 to 64";
-  }
   for (int region = 0; region < region_limit; ++region) {
     for (const Range& range : ranges) {
-      const float value = parameters.region[region].*range.field;
+      const float value = range.value(parameters, region);
       if (value >= range.low && value <= range.high) continue;  // false for NaN too
+      const std::string of = range.of_region ? " of region " + std::to_string(region) : "";
       char text[160];
-      std::snprintf(text, sizeof text, "%s of region %d is %g%s; allowed are %g to %g%s", range.name, region, double(value),
+      std::snprintf(text, sizeof text, "%s%s is %g%s; allowed are %g to %g%s", range.name, of.c_str(), double(value),
                     range.unit, double(range.low), double(range.high), range.unit);
       return text;
     }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 
 namespace crumple {
@@ -51,6 +52,17 @@ struct Parameters {
 
   friend bool operator==(const Parameters&, const Parameters&) = default;
 };
+
+// What each of the fields above may be; the solver aside.
+struct Range {
+  const char* name;
+  float low, high;
+  const char* unit;
+  bool of_region;  // else of the car
+  bool whole;      // numbers only
+  float (*value)(const Parameters&, int region);
+};
+std::span<const Range> parameter_ranges();
 
 // The first field out of its range as a sentence that names field, value and range; nothing if all are in range.
 [[nodiscard]] std::optional<std::string> out_of_range(const Parameters&);

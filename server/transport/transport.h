@@ -129,6 +129,18 @@ int web_page(Web*, const char* path, const char* media_type, const void* data, s
 int web_set(Web*, const char* key, const void* data, size_t size);
 // Whoever comes from now on gets nothing of what is set under keys that begin so; the others are not told.
 int web_forget(Web*, const char* prefix);
+// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64, each for 30 s. Before that they are refused.
+int web_take_requests(Web*);
+typedef struct WebRequest {
+  uint64_t ticket;  // for web_answer
+  const char* path;
+  const uint8_t* data;  // any alignment
+  size_t size;
+} WebRequest;
+// The request that waits longest: 1, or 0 if there is none. Its views are valid until the next call.
+int web_next(Web*, WebRequest* out);
+// Answers it, once, with a status of HTTP.
+int web_answer(Web*, uint64_t ticket, uint16_t status, const char* media_type, const void* data, size_t size);
 void web_close(Web*);
 
 // ---- recordings: MCAP 0.26 ------------------------------------------------------------------------------------------------

@@ -274,6 +274,13 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Budget& o
   return check.refusal;
 }
 
+Verdict decode(std::span<const std::byte> bytes, const Limits& limits, GivenAsset& out) {
+  Checker check{limits};
+  if (const auto* from = verified<schema::Asset>(bytes, "asset", "Asset", 1, check))
+    out.car = std::as_bytes(std::span(from->car()->data(), from->car()->size()));
+  return check.refusal;
+}
+
 Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
   const Limits limits;
   Checker check{limits};
@@ -291,8 +298,8 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
   const std::string_view id = rest.substr(0, second);
   const std::string_view tail = second == rest.npos ? std::string_view{} : rest.substr(second + 1);
   const auto level = size_t(key.empty() ? 0 : key.back() - '0');
-  if (key == "budget") {
-    out.kind = Address::Kind::budget;
+  if (key == "budget" || key == "asset") {
+    out.kind = key == "budget" ? Address::Kind::budget : Address::Kind::asset;
     return std::nullopt;
   }
   if (kind == "host" && tail == "poses") {
@@ -305,9 +312,9 @@ Verdict decode(std::string_view key, const Limits& limits, Address& out) {
     out.kind = Address::Kind::keyframe;
     out.level = level;
   } else {
-    return Refusal{
-        Reason::bad_key,
-        "key " + printable(key) + " is none of host/{host}/poses, host/{host}/obstacles, car/{car}, car/{car}/key/{level}"};
+    return Refusal{Reason::bad_key,
+                   "key " + printable(key) +
+                       " is none of host/{host}/poses, host/{host}/obstacles, asset, car/{car}, car/{car}/key/{level}"};
   }
   Checker check{limits};
   out.id = check.id({"key"}, kind == "host" ? "host" : "car", id);

@@ -23,8 +23,8 @@ using Bytes = std::vector<std::byte>;
 
 // A key below crumple/1/{scene}/ that the server listens on.
 struct Address {
-  enum class Kind { poses, obstacles, command, keyframe, budget } kind;
-  std::string id;    // of the host (poses, obstacles) or the car; of a budget none
+  enum class Kind { poses, obstacles, command, keyframe, budget, asset } kind;
+  std::string id;    // of the host (poses, obstacles) or the car; of a budget or an asset none
   size_t level = 0;  // of the surface that a keyframe is of
 };
 
@@ -75,12 +75,18 @@ struct Budget {
   uint64_t work = 0;  // tet visits a tick; 0: no limit
 };
 
+// A baked car, not looked at yet: a part of the message.
+struct GivenAsset {
+  std::span<const std::byte> car;
+};
+
 [[nodiscard]] Verdict decode(std::string_view key, const Limits&, Address&);
 // Bytes must be aligned to 8. On a refusal what came out is meaningless.
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Intents&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, ObstacleList&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Order&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Budget&);
+[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, GivenAsset&);
 
 // Of a recording.
 struct TickEnd {

@@ -42,7 +42,7 @@ bool regions_run(Input input) {
   const MemoryFile file(input);
   std::vector<std::string> report;
   try {
-    const Regions regions = paint_regions(mesh, {}, file.path(), "box", report);
+    const Regions regions = paint_regions(mesh, {}, read_regions(file.path()), "box", report);
     expect(regions.name.size() <= max_regions, "there are no more regions than a car may have");
     for (const uint8_t region : regions.tet_region) expect(region < regions.name.size(), "tets are of regions that are there");
     return true;

@@ -11,6 +11,8 @@ export interface BakedCar {
   mass: number;
   /** m, car's frame */
   centerOfMass: [number, number, number];
+  /** Their names; the first is "body", where nothing was painted. */
+  regions: string[];
   /** Rest positions, 3 a vertex, m, car's frame. */
   vertex: Float32Array;
   /** 3 vertices each */
@@ -41,6 +43,7 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
   return {
     name: car.name() ?? "", attribution: car.attribution() ?? "", mass: car.mass(),
     centerOfMass: center ? [center.x(), center.y(), center.z()] : [0, 0, 0],
+    regions: Array.from({ length: car.regionLength() }, (_, i) => car.region(i)),
     vertex, triangle, ...readSkin(new Uint32Array(skin), new Float32Array(skin), vertices, nodes),
   };
 }

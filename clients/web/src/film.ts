@@ -1,13 +1,14 @@
 // A recording (MCAP, as `crumple serve --record` writes it) as a scene that can be put to any moment. Nothing but the file is needed:
-// its baked cars are attachments. One that was cut off is read as far as it is whole.
+// its baked cars are attachments, or messages where they came later. One that was cut off is read as far as it is whole.
 import { McapStreamReader } from "@mcap/core";
 import { decompress } from "lz4js";
 import { ByteBuffer } from "flatbuffers";
 import { readCar } from "./baked.js";
+import { Asset } from "./crumple/schema/asset.js";
 import { Answer } from "./crumple/schema/answer.js";
 import { Command } from "./crumple/schema/command.js";
 import { Order } from "./crumple/schema/order.js";
-import { readReactions } from "./decode.js";
+import { digits, hashOf, readReactions } from "./decode.js";
 import { Scene, type Entry } from "./scene.js";
 
 /** s without a contact until the next one is another hit; as the gateway has it. */
@@ -55,7 +56,7 @@ export class Film extends Scene {
     reader.append(bytes);
     for (let record; (record = reader.nextRecord()); ) {
       if (record.type === "Channel") topics.set(record.id, record.topic.split("/").slice(3).join("/"));
-      if (record.type === "Attachment" && record.mediaType === "application/vnd.crumple.car")
+      if (record.type === "Attachment" && /^application\/vnd\.crumple\.(given\.)?car$/.test(record.mediaType))
         film.give(record.name, readCar(record.data.slice(), record.name));
       if (record.type === "Metadata") rate = Number(record.metadata.get("rate")) || rate;
       if (record.type !== "Message") continue;
@@ -102,10 +103,21 @@ export class Film extends Scene {
   #tell(key: string, told: Told): void {
     const [kind, id, what] = key.split("/");
     if (kind === "host" && what === "reactions") this.#tellReactions(told);
+    else if (kind === "asset") this.#tellAsset(told.payload);
     else if (kind === "car" && (!what || what === "answer")) this.#tellDespawn(key, id, told);
     else if (shown.test(key)) this.#add(key, told);
     const lives = this.#lives.some((life) => life.id === id && life.to === Infinity);
     if (what === "key" && !lives) this.#lives.push({ id, from: told.time, to: Infinity });
+  }
+
+  // One that the server refused is none here either.
+  #tellAsset(payload: Uint8Array): void {
+    try {
+      const car = Asset.getRootAsAsset(new ByteBuffer(payload)).carArray()!.slice(), asset = digits(hashOf(car));
+      this.give(asset, readCar(car, asset));
+    } catch {
+      return;
+    }
   }
 
   #tellReactions(told: Told): void {

@@ -2,4 +2,5 @@ export * from "./decode.js";
 export * from "./baked.js";
 export * from "./scene.js";
 export * from "./live.js";
+export * from "./control.js";
 export * from "./film.js";

@@ -8,6 +8,7 @@ import { Film } from "./film.js";
 import { Live } from "./live.js";
 import { Scene, type LiveCar } from "./scene.js";
 import { CarMesh, obstacleGeometry } from "./three.js";
+import { startTools, type Tools } from "./tools.js";
 
 // Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
 const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
@@ -639,6 +640,7 @@ function frame(now: number): void {
     if (updateObstacles(stage)) wake();
   }
   comparison?.update(first.cars, second.cars, heatOn ? heat : null);
+  tools?.update();
   scene.updateMatrixWorld();
   if (updateView(seconds)) wake();
   controls.update();
@@ -670,6 +672,12 @@ function drawPart(part: Rectangle, i: number): void {
   controls.target.copy(target);
 }
 
+let tools: Tools | null = null;
+const workbench = { canvas, camera, controls, wake, followed: () => followed, cars: () => (source === live ? shown : new Map<string, ShownCar>()) };
+void startTools(element("tools"), workbench).then((started) => {
+  tools = started;
+  wake();
+});
 controls.addEventListener("change", wake);
 addEventListener("resize", resize);
 new ResizeObserver(resize).observe(element("panel"));
@@ -696,4 +704,4 @@ function picture(): string {
 }
 
 // For tests and for whoever is curious at the console.
-Object.assign(window, { crumple: { live, shown, picture, renderer, film: () => film, comparison: () => comparison } });
+Object.assign(window, { crumple: { live, shown, picture, renderer, film: () => film, tools: () => tools, comparison: () => comparison } });

@@ -20,6 +20,8 @@ export class LiveCar {
   /** null: neither its host nor a reaction has told it yet. */
   pose: Pose | null = null;
   velocity: Vec3 = [0, 0, 0];
+  /** Whose poses move it; "": none has come. */
+  host = "";
   /** The last one with contact or impulse, and when it came. */
   hit: Reaction | null = null;
   hitAt = 0;
@@ -65,7 +67,8 @@ export class LiveCar {
   }
 
   /** @internal */
-  takePose(pose: Pose, velocity: Vec3, seen: bigint, at: number): void {
+  takePose(host: string, pose: Pose, velocity: Vec3, seen: bigint, at: number): void {
+    this.host = host;
     this.heardAt = Math.max(this.heardAt, at);
     const stands = this.hit && (seen === 0n ? at - this.hitAt < contactHolds : seen < this.hit.tick);
     if (stands) return;
@@ -146,7 +149,7 @@ export class Scene {
       if (list) this.obstacles.set(id, { list, at });
     } else if (kind === "host" && what === "poses") {
       for (const { car, pose, velocity, seen } of readPoses(payload) ?? [])
-        this.cars.get(car)?.takePose(pose, velocity, seen, at);
+        this.cars.get(car)?.takePose(id, pose, velocity, seen, at);
     } else if (kind === "car") {
       const car = this.cars.get(id);
       if (!car) return;

@@ -24,7 +24,7 @@ use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::ptr;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use web::Web;
+use web::{Asked, Web};
 
 const OK: c_int = 0;
 
@@ -376,6 +376,47 @@ pub unsafe extern "C" fn web_forget(web: *mut Web, prefix: *const c_char) -> c_i
         Ok(())
     };
     done(forget())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_take_requests(web: *mut Web) -> c_int {
+    let take = || unsafe {
+        borrow(web, "web")?.take_requests();
+        Ok(())
+    };
+    done(take())
+}
+
+#[repr(C)]
+pub struct WebRequest {
+    ticket: u64,
+    path: *const c_char,
+    data: *const u8,
+    size: usize,
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_next(web: *mut Web, out: *mut WebRequest) -> c_int {
+    let (Some(web), Some(out)) = (unsafe { web.as_mut() }, unsafe { out.as_mut() }) else {
+        return done(Err(missing("web or out")));
+    };
+    let Some(Asked { ticket, path, data }) = web.next() else { return 0 };
+    *out = WebRequest { ticket: *ticket, path: path.as_ptr(), data: data.as_ptr(), size: data.len() };
+    1
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_answer(
+    web: *mut Web,
+    ticket: u64,
+    status: u16,
+    media_type: *const c_char,
+    data: *const c_void,
+    size: usize,
+) -> c_int {
+    let answer =
+        || unsafe { borrow(web, "web")?.answer(ticket, status, text(media_type, "media_type")?, bytes(data, size, "data")?) };
+    done(answer())
 }
 
 #[unsafe(no_mangle)]

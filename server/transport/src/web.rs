@@ -1,25 +1,26 @@
 //! Pages over HTTP and one WebSocket, /live, for browsers. The owner sets what stands under a path and, apart from that, a state: bytes
 //! under keys. Every browser is brought up to the state again and again: it gets what was set since the last batch that it got, each
 //! key once, and the next batch when it has answered, so that a slow or frozen one costs no more than the batches it has not answered
-//! yet, and finds the present when it goes on. What a browser says beside that is not looked at.
+//! yet, and finds the present when it goes on. What a browser says there beside that is not looked at. Where the owner takes requests
+//! (POST), they wait for it in a bounded line.
 
 use crate::fail::{BAD_ARGUMENT, Fail, IO};
 use axum::Router;
-use axum::body::Bytes;
+use axum::body::{Bytes, to_bytes};
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ffi::CString;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 use tokio::time::{sleep, timeout};
 
 /// Batches that a browser may have unanswered: enough for 60 a second over a line of 60 ms there and back.
@@ -31,6 +32,41 @@ const PATIENCE: Duration = Duration::from_secs(30);
 const MAX_BROWSERS: usize = 256;
 /// Of a message of a browser: answers are empty.
 const MAX_ANSWER: usize = 1024;
+
+/// Of what is posted: a regions file of 8,000 dabs.
+const MAX_REQUEST: usize = 1 << 20;
+const MAX_WAITING: usize = 64;
+/// Until a request must have been answered.
+const ANSWERED: Duration = Duration::from_secs(30);
+
+pub struct Asked {
+    pub ticket: u64,
+    pub path: CString,
+    pub data: Bytes,
+}
+
+/// Requests that nobody has taken, and whoever waits for their answers, by ticket.
+#[derive(Default)]
+struct Requests {
+    last: u64,
+    line: VecDeque<Asked>,
+    answers: HashMap<u64, oneshot::Sender<Response>>,
+}
+
+/// A browser that waits; one that goes leaves nothing behind.
+struct Waiting {
+    shared: Arc<Shared>,
+    ticket: u64,
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        if let Some(requests) = self.shared.requests.lock().unwrap().as_mut() {
+            requests.answers.remove(&self.ticket);
+            requests.line.retain(|asked| asked.ticket != self.ticket);
+        }
+    }
+}
 
 struct Slot {
     key: Box<str>,
@@ -54,13 +90,15 @@ struct Page {
 struct Shared {
     pages: Mutex<HashMap<String, Page>>,
     state: Mutex<Slots>,
-    changed: watch::Sender<u64>, // the last number
+    changed: watch::Sender<u64>,       // the last number
+    requests: Mutex<Option<Requests>>, // None: nobody takes them
     browsers: AtomicUsize,
     loopback: bool, // reached from this machine only
 }
 
 pub struct Web {
     shared: Arc<Shared>,
+    taken: Option<Asked>, // the last
     address: CString,
     runtime: Option<Runtime>,
 }
@@ -81,16 +119,17 @@ impl Web {
             pages: Mutex::default(),
             state: Mutex::default(),
             changed: watch::Sender::new(0),
+            requests: Mutex::default(),
             browsers: AtomicUsize::new(0),
             loopback: local.ip().is_loopback(),
         });
         let router = Router::new()
             .route("/live", get(upgrade))
-            .fallback(get(page))
+            .fallback(get(page).post(request))
             .layer(middleware::from_fn_with_state(shared.clone(), same_site))
             .with_state(shared.clone());
         runtime.spawn(async move { axum::serve(listener, router).await });
-        Ok(Web { shared, address: CString::new(local.to_string()).unwrap_or_default(), runtime: Some(runtime) })
+        Ok(Web { shared, taken: None, address: CString::new(local.to_string()).unwrap_or_default(), runtime: Some(runtime) })
     }
 
     pub fn address(&self) -> &CString {
@@ -113,6 +152,26 @@ impl Web {
         state.slots.insert(number, slot);
         drop(state);
         self.shared.changed.send_replace(number);
+    }
+
+    pub fn take_requests(&self) {
+        self.shared.requests.lock().unwrap().get_or_insert_default();
+    }
+
+    pub fn next(&mut self) -> Option<&Asked> {
+        self.taken = self.shared.requests.lock().unwrap().as_mut()?.line.pop_front();
+        self.taken.as_ref()
+    }
+
+    /// Whoever is gone needs no answer.
+    pub fn answer(&self, ticket: u64, status: u16, media_type: &str, data: &[u8]) -> Result<(), Fail> {
+        let status = StatusCode::from_u16(status).map_err(|e| Fail::new(BAD_ARGUMENT, format!("status {status}: {e}")))?;
+        let head = [(header::CONTENT_TYPE, media_type.to_string())];
+        let response = (status, head, Bytes::copy_from_slice(data)).into_response();
+        if let Some(waits) = self.shared.requests.lock().unwrap().as_mut().and_then(|all| all.answers.remove(&ticket)) {
+            _ = waits.send(response);
+        }
+        Ok(())
     }
 
     pub fn forget(&self, prefix: &str) {
@@ -154,6 +213,37 @@ async fn page(State(shared): State<Arc<Shared>>, uri: Uri) -> Response {
             (head, page.data.clone()).into_response()
         }
         None => (StatusCode::NOT_FOUND, "not here (yet)\n").into_response(),
+    }
+}
+
+async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Response {
+    const BUSY: &str = "too many requests wait here: try again later\n";
+    let path = CString::new(request.uri().path()).unwrap_or_default();
+    if shared.requests.lock().unwrap().is_none() {
+        return (StatusCode::FORBIDDEN, "this page only shows the scene\n").into_response();
+    }
+    let Ok(body) = timeout(ANSWERED, to_bytes(request.into_body(), MAX_REQUEST)).await else {
+        return (StatusCode::REQUEST_TIMEOUT, "the request did not arrive\n").into_response();
+    };
+    let Ok(data) = body else {
+        return (StatusCode::PAYLOAD_TOO_LARGE, "more than the 1 MiB that a request may have\n").into_response();
+    };
+    let (waiting, answer) = {
+        let mut all = shared.requests.lock().unwrap();
+        let Some(requests) = all.as_mut().filter(|requests| requests.answers.len() < MAX_WAITING) else {
+            return (StatusCode::SERVICE_UNAVAILABLE, BUSY).into_response();
+        };
+        requests.last += 1;
+        let (ticket, (sender, answer)) = (requests.last, oneshot::channel());
+        requests.answers.insert(ticket, sender);
+        requests.line.push_back(Asked { ticket, path, data });
+        (Waiting { shared: shared.clone(), ticket }, answer)
+    };
+    let answered = timeout(ANSWERED, answer).await;
+    drop(waiting);
+    match answered {
+        Ok(Ok(response)) => response,
+        _ => (StatusCode::GATEWAY_TIMEOUT, "no answer came in time\n").into_response(),
     }
 }
 

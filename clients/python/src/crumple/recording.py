@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from crumple._convert import REACTION
 from crumple._library import Error, check, ffi, lib
 from crumple.schema.Answer import Answer
+from crumple.schema.Asset import Asset
 from crumple.schema.Command import Command
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
 from crumple.schema.Order import Order
@@ -72,6 +73,10 @@ class Frame(View):
     def _mesh(self, asset: str) -> Mesh | None:
         if asset not in self._meshes and asset in self._recording.assets:
             self.add_asset(self._recording.assets[asset])
+        elif asset not in self._meshes:
+            for car in self._recording.given:
+                with contextlib.suppress(Error):  # the server refused it too
+                    self.add_asset(car)
         return super()._mesh(asset)
 
     def _seek(self, car: str) -> bool:
@@ -115,7 +120,12 @@ class Recording:
     @cached_property
     def assets(self) -> dict[str, bytes]:
         """The baked cars by hash."""
-        return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith("crumple.car")}
+        return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith(".car")}
+
+    @cached_property
+    def given(self) -> list[bytes]:
+        """The baked cars that came later, by messages."""
+        return [Asset.GetRootAs(data).CarAsNumpy().tobytes() for _, _, _, data in self._messages("asset".__eq__)]
 
     @cached_property
     def _ticks(self) -> NDArray[np.uint64]:
@@ -233,16 +243,17 @@ class Recording:
     def lives(self) -> list[Life]:
         """Who was there, and when."""
         lives: list[Life] = []
-        asked: dict[str, Any] = {}
+        asked: dict[str, bytes] = {}  # not read yet: one that the server refused may be anything
         commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
         for tick, _, key, data in commands:
             car = key.split("/")[1]
             if not key.endswith("/answer"):
-                asked[car] = Command.GetRootAs(data)
+                asked[car] = data
                 continue
-            command = asked.pop(car, None)
-            if command is None or not Answer.GetRootAs(data).Ok():
+            order = asked.pop(car, None)
+            if order is None or not Answer.GetRootAs(data).Ok():
                 continue
+            command = Command.GetRootAs(order)
             if command.OrderType() == Order.Spawn:
                 spawn = Spawn()
                 spawn.Init(command.Order().Bytes, command.Order().Pos)

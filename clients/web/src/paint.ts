@@ -1,0 +1,340 @@
+// A brush on the undamaged surface. A dab is a sphere of schema/regions.fbs, an eraser one of "body", and what was painted last stands:
+// so a painted mask is a regions file.
+import * as THREE from "three";
+import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js";
+import { readCar, type BakedCar } from "./baked.js";
+import type { Control } from "./control.js";
+import { digits, hashOf, type Pose, type Vec3 } from "./decode.js";
+import { CarMesh } from "./three.js";
+import { download, pick, sentence, type Shown, type Stage } from "./tools.js";
+
+interface Point {
+  x: number;
+  y: number;
+  z: number;
+}
+/** An entry of a regions file: one of sphere and box. */
+interface Entry {
+  name: string;
+  anchored?: boolean;
+  sphere?: { center: Point; radius: number };
+  box?: { center: Point; half: Point; orientation?: Point & { w: number } };
+}
+
+/** Okabe and Ito's, for what was painted first, second, ...; more regions than these are told apart by the legend alone. */
+const palette = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000"].map((colour) => new THREE.Color(colour));
+const bare = new THREE.Color("#e3e3df");
+/** Of the radius, from dab to dab of a stroke. */
+const spacing = 0.4;
+const radii = { low: 0.05, high: 0.8, first: 0.2 }; // m
+const eraser = "body";
+/** Triangles of the mask: small ones, for the sheets of a car have few vertices. */
+const tiles = new TessellateModifier(0.06, 10); // m, halvings
+
+export class Paint {
+  readonly root = document.createElement("details");
+  entries: readonly Entry[] = [];
+  #past: (readonly Entry[])[] = [];
+  #future: (readonly Entry[])[] = [];
+  #on = false;
+  #stroke: Entry[] | null = null; // being painted
+  #pointers = new Set<number>();
+  #mesh: CarMesh | null = null; // at rest, for the rays
+  #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what is seen of it
+  #of: Shown | null = null;
+  #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
+  #ray = new THREE.Raycaster();
+  #stands: { id: string; life: string; pose: Pose } | null = null; // where the car that takes the place of this life was spawned
+  #baked: { bytes: Uint8Array; name: string } | null = null;
+
+  constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
+    this.root.id = "paint";
+    this.root.innerHTML = `<summary>Paint</summary>
+      <button id="paint-on" aria-pressed="false" aria-keyshortcuts="b" title="Key B">Paint with the pointer</button>
+      <p class="note">Right button, two fingers or arrow keys turn the view meanwhile. Anchors hold the car on its pose.</p>
+      <label class="row">Brush <select id="paint-kind"><option value="region">region</option><option value="anchor">anchors</option><option value="eraser">eraser</option></select></label>
+      <label class="row">Name <input id="paint-name" value="front" maxlength="32" list="paint-names" autocomplete="off"></label><datalist id="paint-names"></datalist>
+      <div class="slider"><label for="paint-radius">radius</label><output id="paint-size"></output><input id="paint-radius" type="range" min="${radii.low}" max="${radii.high}" step="0.01" value="${radii.first}"></div>
+      <ul id="paint-legend" aria-label="What is painted"></ul>
+      <div class="buttons"><button id="paint-undo" aria-keyshortcuts="Control+z">Undo</button><button id="paint-redo" aria-keyshortcuts="Control+y">Redo</button><button id="paint-dab">Dab in the middle</button>
+      <button id="paint-save">Save regions</button><button id="paint-load">Load regions</button><button id="paint-clear">Clear</button></div>
+      <div class="buttons"><button id="paint-bake" class="main">Re-bake</button><button id="paint-car" disabled>Download car</button></div>
+      <input id="paint-file" type="file" accept=".json" hidden>`;
+    const press = (id: string, action: () => void) => (this.#find<HTMLButtonElement>(`#paint-${id}`).onclick = action);
+    press("on", () => this.toggle(!this.#on));
+    press("undo", () => this.#undo());
+    press("redo", () => this.#redo());
+    press("clear", () => this.#become([]));
+    press("dab", () => this.#dabInTheMiddle());
+    press("save", () => download("regions.json", this.json(), "application/json"));
+    press("load", () => pick(this.#find("#paint-file"), (text, name) => this.#load(text, name)));
+    press("bake", () => void this.#bake());
+    press("car", () => this.#baked && download(this.#baked.name, this.#baked.bytes as Uint8Array<ArrayBuffer>, "application/octet-stream"));
+    const radius = this.#find<HTMLInputElement>("#paint-radius"), size = this.#find("#paint-size");
+    radius.oninput = () => (size.textContent = `${Number(radius.value).toFixed(2)} m`);
+    radius.dispatchEvent(new Event("input"));
+    this.root.ontoggle = () => !this.root.open && this.toggle(false);
+    this.#tip.visible = false;
+    this.#tip.renderOrder = 5;
+    this.#listen();
+    this.#changed();
+  }
+
+  /** While it is on the car stands undamaged, and the pointer paints it. */
+  toggle(on: boolean): void {
+    this.#on = on;
+    if (on) this.root.open = true;
+    this.#find("#paint-on").setAttribute("aria-pressed", String(on));
+    const { controls } = this.stage;
+    controls.mouseButtons = { LEFT: on ? null : THREE.MOUSE.ROTATE, MIDDLE: THREE.MOUSE.DOLLY, RIGHT: on ? THREE.MOUSE.ROTATE : THREE.MOUSE.PAN };
+    controls.touches = { ONE: on ? null : THREE.TOUCH.ROTATE, TWO: on ? THREE.TOUCH.DOLLY_ROTATE : THREE.TOUCH.DOLLY_PAN };
+    this.stage.canvas.style.cursor = on ? "crosshair" : "";
+    this.update();
+    this.stage.wake();
+  }
+
+  /** The regions file. */
+  json(): string {
+    return `{\n  "regions": [${this.entries.map((entry) => `\n    ${JSON.stringify(entry)}`).join(",")}\n  ]\n}\n`;
+  }
+
+  update(): void {
+    const { car } = this.chosen() ?? {};
+    // Viewers are told poses by hosts only.
+    if (car && car.id === this.#stands?.id && car.life !== this.#stands.life) car.pose ??= this.#stands.pose;
+    const shown = this.#on ? this.chosen() : null, wanted = shown?.mesh ? shown : null;
+    if (wanted === this.#of) return;
+    this.#drop();
+    this.#of = wanted;
+    if (!wanted) return;
+    this.#mesh = new CarMesh(wanted.mesh!.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
+    this.#mesh.visible = false;
+    this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), this.#mesh.material);
+    this.#mask.castShadow = true;
+    wanted.group.add(this.#mesh, this.#mask, this.#tip);
+    wanted.mesh!.visible = false;
+    this.#changed();
+  }
+
+  /** Whether the mask can be painted on. */
+  get showing(): boolean {
+    return this.#mask !== null;
+  }
+
+  /** Where a point of the car, m in its frame, is on the page; for tests. */
+  screen(point: Vec3): { x: number; y: number } {
+    const at = new THREE.Vector3(...point).applyMatrix4(this.#of!.group.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
+    return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
+  }
+
+  #find<T extends HTMLElement>(what: string): T {
+    return this.root.querySelector<T>(what)!;
+  }
+
+  #drop(): void {
+    if (this.#of?.mesh) this.#of.mesh.visible = true;
+    for (const object of [this.#mesh, this.#mask, this.#tip]) object?.removeFromParent();
+    this.#mesh?.geometry.dispose();
+    this.#mask?.geometry.dispose();
+    this.#mesh?.material.dispose();
+    this.#mesh = this.#mask = null;
+  }
+
+  // ---- the pointer ----
+
+  #listen(): void {
+    const { canvas } = this.stage;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (!this.#on) return;
+      this.#pointers.add(event.pointerId);
+      if (this.#pointers.size > 1) return this.#end(false); // a second finger turns the view
+      if (event.button !== 0) return;
+      this.#stroke = [];
+      this.#dab(this.#hit(event));
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!this.#on) return;
+      const point = this.#hit(event);
+      this.#point(point);
+      if (this.#stroke && this.#pointers.has(event.pointerId)) this.#dab(point);
+    });
+    const up = (event: PointerEvent) => {
+      this.#pointers.delete(event.pointerId);
+      this.#end(event.type === "pointerup");
+    };
+    canvas.addEventListener("pointerup", up);
+    canvas.addEventListener("pointercancel", up);
+    canvas.addEventListener("pointerleave", () => this.#point(null));
+    addEventListener("keydown", (event) => {
+      if (event.target instanceof HTMLInputElement && event.target.type !== "range") return;
+      const key = event.key.toLowerCase();
+      if (key === "b" && !event.ctrlKey && !event.metaKey && !event.altKey && this.chosen()) return this.toggle(!this.#on);
+      if (!this.#on || !(event.ctrlKey || event.metaKey)) return;
+      if (key === "z" || key === "y") {
+        event.preventDefault();
+        if (key === "z" && !event.shiftKey) this.#undo();
+        else this.#redo();
+      }
+    });
+  }
+
+  #hit({ clientX, clientY }: { clientX: number; clientY: number }): THREE.Vector3 | null {
+    if (!this.#mesh) return null;
+    const box = this.stage.canvas.getBoundingClientRect();
+    const at = new THREE.Vector2((2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height);
+    this.#ray.setFromCamera(at, this.stage.camera);
+    const [hit] = this.#ray.intersectObject(this.#mesh, false);
+    return hit ? this.#mesh.worldToLocal(hit.point.clone()) : null;
+  }
+
+  #point(at: THREE.Vector3 | null): void {
+    this.#tip.visible = at !== null;
+    if (at) this.#tip.position.copy(at);
+    this.#tip.scale.setScalar(this.#radius);
+    this.stage.wake();
+  }
+
+  get #radius(): number {
+    return Number(this.#find<HTMLInputElement>("#paint-radius").value);
+  }
+
+  #dab(at: THREE.Vector3 | null): void {
+    if (!at || !this.#stroke) return;
+    const radius = this.#radius, last = this.#stroke.at(-1)?.sphere?.center;
+    if (last && at.distanceTo(new THREE.Vector3(last.x, last.y, last.z)) < spacing * radius) return;
+    const kind = this.#find<HTMLSelectElement>("#paint-kind").value;
+    const name = kind === "eraser" ? eraser : this.#find<HTMLInputElement>("#paint-name").value.trim() || "front";
+    const [x, y, z] = at.toArray().map((value) => Number(value.toFixed(4)));
+    this.#stroke.push({ name, ...(kind === "anchor" ? { anchored: true } : {}), sphere: { center: { x, y, z }, radius } });
+    this.#changed();
+  }
+
+  #end(whole: boolean): void {
+    const stroke = this.#stroke;
+    this.#stroke = null;
+    if (whole && stroke?.length) this.#become([...this.entries, ...stroke]);
+    else if (stroke) this.#changed();
+  }
+
+  #dabInTheMiddle(): void {
+    if (!this.#on) this.toggle(true);
+    // of what the panel leaves free: there the camera looks
+    const { camera, controls } = this.stage, at = controls.target.clone().project(camera), box = this.stage.canvas.getBoundingClientRect();
+    const point = this.#hit({ clientX: box.left + ((at.x + 1) / 2) * box.width, clientY: box.top + ((1 - at.y) / 2) * box.height });
+    if (!point) return this.tell("the middle of the view is not on the car", true);
+    this.#stroke = [];
+    this.#dab(point);
+    this.#end(true);
+  }
+
+  // ---- what is painted ----
+
+  #become(entries: readonly Entry[]): void {
+    this.#past.push(this.entries);
+    this.#future = [];
+    this.entries = entries;
+    this.#changed();
+  }
+
+  #undo(): void {
+    const before = this.#past.pop();
+    if (!before) return;
+    this.#future.push(this.entries);
+    this.entries = before;
+    this.#changed();
+  }
+
+  #redo(): void {
+    const after = this.#future.pop();
+    if (!after) return;
+    this.#past.push(this.entries);
+    this.entries = after;
+    this.#changed();
+  }
+
+  #load(text: string, name: string): void {
+    try {
+      const { regions } = JSON.parse(text) as { regions?: Entry[] };
+      if (!Array.isArray(regions) || regions.some((entry) => typeof entry.name !== "string" || (!entry.sphere && !entry.box)))
+        throw new Error('it needs a list "regions", each with a name and a sphere or a box');
+      this.#become(regions);
+      this.tell(`${name}: ${regions.length} entries`);
+    } catch (error) {
+      this.tell(`${name} is no regions file in strict JSON: ${sentence(error)}`, true);
+    }
+  }
+
+  #changed(): void {
+    const entries = [...this.entries, ...(this.#stroke ?? [])], legend = new Map<string, { colour: THREE.Color; label: string }>();
+    const key = ({ name, anchored }: Entry) => `${name} ${anchored ?? false}`;
+    for (const entry of entries) {
+      if ((entry.name === eraser && !entry.anchored) || legend.has(key(entry))) continue;
+      const colour = palette[legend.size % palette.length];
+      legend.set(key(entry), { colour, label: entry.name + (entry.anchored ? ", anchored" : "") });
+    }
+    const newest = [...entries].reverse().map((entry) => ({ holds: inside(entry), colour: legend.get(key(entry))?.colour ?? bare }));
+    if (this.#mask) this.#tint((point) => newest.find(({ holds }) => holds(point))?.colour ?? bare);
+    const rows = [...legend.values()].map(({ colour, label }) => {
+      const row = document.createElement("li"), swatch = document.createElement("i");
+      swatch.style.background = `#${colour.getHexString()}`;
+      row.append(swatch, label);
+      return row;
+    });
+    this.#find("#paint-legend").replaceChildren(...rows);
+    this.#find("#paint-names").replaceChildren(...[...new Set(entries.map(({ name }) => name))].map((name) => new Option(name)));
+    this.#find<HTMLButtonElement>("#paint-undo").disabled = !this.#past.length;
+    this.#find<HTMLButtonElement>("#paint-redo").disabled = !this.#future.length;
+    this.stage.wake();
+  }
+
+  #tint(colour: (point: THREE.Vector3) => THREE.Color): void {
+    const { position, color } = this.#mask!.geometry.attributes, point = new THREE.Vector3();
+    for (let i = 0; i < position.count; ++i) {
+      const { r, g, b } = colour(point.fromBufferAttribute(position, i));
+      color.setXYZ(i, r, g, b);
+    }
+    color.needsUpdate = true;
+  }
+
+  // ---- the car ----
+
+  async #bake(): Promise<void> {
+    const shown = this.chosen();
+    if (!shown?.car.baked) return this.tell("there is no car to paint", true);
+    const { id, host, life, surface } = shown.car, pose = shown.car.pose ?? { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+    const button = this.#find<HTMLButtonElement>("#paint-bake"), begun = performance.now();
+    button.disabled = true;
+    this.tell("re-baking …");
+    try {
+      const bytes = await this.control.paint(surface.asset, this.json());
+      const asset = digits(hashOf(bytes)), baked: BakedCar = readCar(bytes, asset), took = Math.round(performance.now() - begun);
+      this.#baked = { bytes, name: `${baked.name}-painted.car` };
+      this.#find<HTMLButtonElement>("#paint-car").disabled = false;
+      if (asset !== surface.asset) {
+        await this.control.despawn(id);
+        await this.control.spawn(id, asset, host || "page", pose);
+        this.#stands = { id, life, pose };
+      }
+      this.toggle(false);
+      this.tell(`${id} is now ${asset}: ${baked.regions.join(", ")}; baked in ${took} ms`);
+    } catch (error) {
+      this.tell(`not re-baked: ${sentence(error)}`, true);
+    }
+    button.disabled = false;
+  }
+}
+
+/** Whether a point, m in the car's frame, is in the entry. */
+function inside({ sphere, box }: Entry): (point: THREE.Vector3) => boolean {
+  const at = new THREE.Vector3(), center = new THREE.Vector3();
+  if (sphere) {
+    center.copy(sphere.center as THREE.Vector3);
+    return (point) => point.distanceToSquared(center) <= sphere.radius ** 2;
+  }
+  const { x, y, z, w } = box!.orientation ?? { x: 0, y: 0, z: 0, w: 1 }, back = new THREE.Quaternion(x, y, z, w).invert();
+  center.copy(box!.center as THREE.Vector3);
+  return (point) => {
+    at.copy(point).sub(center).applyQuaternion(back);
+    return Math.abs(at.x) <= box!.half.x && Math.abs(at.y) <= box!.half.y && Math.abs(at.z) <= box!.half.z;
+  };
+}

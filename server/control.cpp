@@ -1,0 +1,132 @@
+#include "control.h"
+
+#include <chrono>
+#include <cstdio>
+#include <stdexcept>
+#include <string_view>
+#include <utility>
+
+#include "asset/bake.h"
+#include "schema/message_generated.h"
+#include "sim/material.h"
+
+namespace crumple {
+namespace {
+
+constexpr uint32_t answer_ms = 5'000;
+constexpr std::string_view command_path = "/command/car/", paint_path = "/paint/";
+
+// Nothing else: "*" would command all cars.
+bool is_plain_id(std::string_view id) {
+  constexpr std::string_view allowed = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-";
+  return !id.empty() && id.size() <= 32 && id.find_first_not_of(allowed) == id.npos;
+}
+
+std::shared_ptr<const Car> paint(std::span<const std::byte> bytes, const std::string& hash, std::string regions) {
+  BakeOptions options;
+  options.input = "car " + hash;
+  options.regions = {"the regions", std::move(regions)};
+  return rebake(*read_car(bytes, options.input), options).car;
+}
+
+}  // namespace
+
+std::string parameters_json(bool control) {
+  std::string json = std::string("{\"control\":") + (control ? "true" : "false") + ",\"parameters\":[";
+  for (const Range& range : parameter_ranges()) {
+    const std::string_view unit = range.unit;
+    char text[400];
+    std::snprintf(text, sizeof text,
+                  "%s{\"name\":\"%s\",\"low\":%g,\"high\":%g,\"standard\":%g,\"unit\":\"%s\",\"ofRegion\":%s,\"whole\":%s}",
+                  json.back() == '[' ? "" : ",", range.name, double(range.low), double(range.high),
+                  double(range.value(Parameters{}, 0)), unit.empty() ? "" : range.unit + 1, range.of_region ? "true" : "false",
+                  range.whole ? "true" : "false");
+    json += text;
+  }
+  return json + "]}\n";
+}
+
+Control::Control(Net* net, Web* web, std::string root) : net_(net), web_(web), root_(std::move(root)) {
+  if (web_take_requests(web_) < 0) throw std::runtime_error(transport_error());
+}
+
+void Control::keep(const std::string& hash, std::span<const uint8_t> bytes) {
+  const auto from = std::as_bytes(bytes);
+  cars_.try_emplace(hash, from.begin(), from.end());
+}
+
+void Control::refuse(uint64_t ticket, uint16_t status, const std::string& sentence) {
+  web_answer(web_, ticket, status, "text/plain; charset=utf-8", sentence.data(), sentence.size());
+}
+
+void Control::pass(const Passed& passed, const std::string& key, std::span<const uint8_t> bytes) {
+  uint64_t asked = 0;
+  if (net_get(net_, (root_ + key).c_str(), bytes.data(), bytes.size(), answer_ms, &asked) == 0)
+    passed_[asked] = passed;
+  else
+    refuse(passed.ticket, 502, transport_error());
+}
+
+void Control::command(const WebRequest& request, const std::string& car) {
+  if (!is_plain_id(car)) return refuse(request.ticket, 400, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  pass({request.ticket, nullptr}, "car/" + car, {request.data, request.size});
+}
+
+void Control::give(uint64_t ticket, const Car& car) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto bytes = builder.CreateVector(reinterpret_cast<const uint8_t*>(car->bytes.data()), car->bytes.size());
+  builder.Finish(schema::CreateAsset(builder, bytes));
+  pass({ticket, car}, "asset", {builder.GetBufferPointer(), builder.GetSize()});
+}
+
+void Control::take(const WebRequest& request) {
+  const std::string_view path = request.path;
+  if (path.starts_with(command_path)) return command(request, std::string(path.substr(command_path.size())));
+  if (!path.starts_with(paint_path))
+    return refuse(request.ticket, 404, "commands go to /command/car/{car}, paint to /paint/{hash}");
+  const std::string hash(path.substr(paint_path.size()));
+  if (!cars_.contains(hash)) return refuse(request.ticket, 404, "no car of this scene is of that asset");
+  line_.push_back({request.ticket, hash, {reinterpret_cast<const char*>(request.data), request.size}});
+}
+
+void Control::work() {
+  for (WebRequest request; web_next(web_, &request) == 1;) take(request);
+  if (!painting_ && !line_.empty()) {
+    Painting next = std::move(line_.front());
+    line_.pop_front();
+    painting_.emplace(next.ticket, std::async(std::launch::async, [bytes = std::span<const std::byte>(cars_.at(next.hash)),
+                                                                   next] { return paint(bytes, next.hash, next.regions); }));
+  }
+  if (!painting_ || painting_->second.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  const uint64_t ticket = painting_->first;
+  try {
+    give(ticket, painting_->second.get());
+  } catch (const std::runtime_error& error) {
+    refuse(ticket, 422, error.what());
+  }
+  painting_.reset();
+}
+
+bool Control::take_reply(const NetEvent& event) {
+  const auto found = passed_.find(event.ticket);
+  if (found == passed_.end()) return false;
+  const auto [ticket, car] = found->second;
+  passed_.erase(found);
+  flatbuffers::Verifier verifier(event.data, event.size);
+  if (event.kind == NET_REPLY_END || event.size == 0 || !verifier.VerifyBuffer<schema::Answer>(nullptr)) {
+    refuse(ticket, 504, "the scene's server did not answer");
+  } else if (!car) {
+    web_answer(web_, ticket, 200, "application/octet-stream", event.data, event.size);
+  } else if (const auto* answer = flatbuffers::GetRoot<schema::Answer>(event.data); answer->ok()) {
+    // What browsers ask for as soon as it is spawned.
+    const std::span bytes(reinterpret_cast<const uint8_t*>(car->bytes.data()), car->bytes.size());
+    web_page(web_, ("/asset/" + car->hash).c_str(), "application/octet-stream", bytes.data(), bytes.size());
+    keep(car->hash, bytes);
+    web_answer(web_, ticket, 200, "application/octet-stream", car->bytes.data(), car->bytes.size());
+  } else {
+    refuse(ticket, 409, answer->sentence() ? answer->sentence()->str() : "the scene's server refused the car");
+  }
+  return true;
+}
+
+}  // namespace crumple
