@@ -33,7 +33,8 @@ using Clock = std::chrono::steady_clock;
 constexpr size_t inbox_limit = 20'000;
 constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars have 200 kB
 // Queries wait in line, and a tick lets in as many as this pays for. A keyframe is copied and packed: some 20 us. A command may
-// copy a whole body (spawn, save, load), a query for an asset copies 256 KiB: some ms at 50,000 nodes.
+// copy a whole body (spawn, save, load), a query for an asset copies 256 KiB: some ms at 50,000 nodes. A baked car that is
+// given is checked whole, which takes as long at a tenth of them: one a tick.
 constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
@@ -259,7 +260,8 @@ void admit_queries(Server& server) {
   Inbox admitted;
   for (int left = queries_pay; !server.queries.empty(); server.queries.pop_front()) {
     Message& next = server.queries.front();
-    left -= channel_of(next.key) == Channel::keyframe ? keyframe_costs : other_query_costs;
+    const Channel channel = channel_of(next.key);
+    left -= channel == Channel::keyframe ? keyframe_costs : channel == Channel::asset ? queries_pay : other_query_costs;
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
     if (next.key == latest_key) {

@@ -20,7 +20,7 @@ import zenoh
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 BUILD = pathlib.Path(sys.argv[1]).resolve()
 README = (ROOT / "README.md").read_text()
-PATIENCE = 120  # s
+PATIENCE = 300  # s
 stays = re.compile(r"crumple (serve(?!.*--(print|check)-config)|watch|view|replay .*--publish)\b")
 instead = {"CAR": "car.car", "m130.car": "car.car"}
 running = []
