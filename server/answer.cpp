@@ -26,7 +26,19 @@ void answer_asset(Net* net, const NetEvent& query, const std::vector<std::shared
 }
 
 void LatestInputs::keep(const Message& message) {
-  if (messages.size() < 2 * Limits{}.hosts || messages.contains(message.key)) messages[message.key] = message;
+  constexpr size_t most = size_t{16} << 20;  // 64 hosts of 1,000 cars each have 13 MB
+  size_t size = message.bytes.size();
+  for (const auto& [key, other] : messages) size += key == message.key ? 0 : other.bytes.size();
+  if (size > most || (messages.size() >= 2 * Limits{}.hosts && !messages.contains(message.key))) return;
+  messages[message.key] = message;
+}
+
+void LatestInputs::forget_others(const std::vector<std::string>& hosts) {
+  std::erase_if(messages, [&](const auto& each) {
+    const std::string_view key = each.first;  // host/{host}/poses
+    const std::string_view host = key.substr(5, key.rfind('/') - 5);
+    return std::find(hosts.begin(), hosts.end(), host) == hosts.end();
+  });
 }
 
 void LatestInputs::answer(Net* net, uint64_t ticket) const {

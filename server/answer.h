@@ -20,10 +20,13 @@ inline constexpr size_t asset_piece = size_t{256} << 10;
 // key: "crumple/1/asset/{hash}".
 void answer_asset(Net*, const NetEvent&, const std::vector<std::shared_ptr<const Car>>&);
 
-// Of every host its last poses and obstacles, for who comes late: key "inputs". Of as many hosts as a scene may have.
+// Of every host its last poses and obstacles, for who comes late: key "inputs". Of as many hosts as a scene may have, and 16
+// MiB.
 struct LatestInputs {
   std::map<std::string, Message, std::less<>> messages;
   void keep(const Message&);
+  // Of hosts that a scene does not have any more.
+  void forget_others(const std::vector<std::string>& hosts);
   void answer(Net*, uint64_t ticket) const;
 };
 

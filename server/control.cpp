@@ -86,22 +86,23 @@ void Control::take(const WebRequest& request) {
     return refuse(request.ticket, 404, "commands go to /command/car/{car}, paint to /paint/{hash}");
   const std::string hash(path.substr(paint_path.size()));
   if (!cars_.contains(hash)) return refuse(request.ticket, 404, "no car of this scene is of that asset");
-  line_.push_back({request.ticket, hash, {reinterpret_cast<const char*>(request.data), request.size}});
+  begin_painting(request, hash);
 }
 
+void Control::begin_painting(const WebRequest& request, const std::string& hash) {
+  std::string regions(reinterpret_cast<const char*>(request.data), request.size);
+  painting_.emplace(request.ticket, std::async(std::launch::async, paint, std::span<const std::byte>(cars_.at(hash)), hash,
+                                               std::move(regions)));
+}
+
+// One painting at a time, and what comes after it waits at the door, where whoever goes is forgotten.
 void Control::work() {
-  for (WebRequest request; web_next(web_, &request) == 1;) take(request);
-  if (!painting_ && !line_.empty()) {
-    Painting next = std::move(line_.front());
-    line_.pop_front();
-    painting_.emplace(next.ticket, std::async(std::launch::async, [bytes = std::span<const std::byte>(cars_.at(next.hash)),
-                                                                   next] { return paint(bytes, next.hash, next.regions); }));
-  }
+  for (WebRequest request; !painting_ && web_next(web_, &request) == 1;) take(request);
   if (!painting_ || painting_->second.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
   const uint64_t ticket = painting_->first;
   try {
     give(ticket, painting_->second.get());
-  } catch (const std::runtime_error& error) {
+  } catch (const std::exception& error) {
     refuse(ticket, 422, error.what());
   }
   painting_.reset();

@@ -4,7 +4,6 @@
 // Whatever is refused comes with a status of 4xx or 5xx and a sentence.
 #pragma once
 
-#include <deque>
 #include <future>
 #include <map>
 #include <memory>
@@ -33,16 +32,13 @@ class Control {
 
  private:
   using Car = std::shared_ptr<const crumple::Car>;
-  struct Painting {
-    uint64_t ticket;
-    std::string hash, regions;
-  };
   struct Passed {
     uint64_t ticket;
     Car car;  // what is given; null: a command
   };
   void take(const WebRequest&);
   void command(const WebRequest&, const std::string& car);
+  void begin_painting(const WebRequest&, const std::string& hash);
   void give(uint64_t ticket, const Car&);
   void pass(const Passed&, const std::string& key, std::span<const uint8_t>);
   void refuse(uint64_t ticket, uint16_t status, const std::string& sentence);
@@ -50,8 +46,7 @@ class Control {
   Net* net_;
   Web* web_;
   std::string root_;
-  std::map<std::string, std::vector<std::byte>> cars_;  // by hash
-  std::deque<Painting> line_;
+  std::map<std::string, std::vector<std::byte>> cars_;             // by hash
   std::optional<std::pair<uint64_t, std::future<Car>>> painting_;  // its ticket; one at a time
   std::map<uint64_t, Passed> passed_;                              // by the ticket of net_get
 };

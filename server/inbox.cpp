@@ -1,6 +1,10 @@
 // The messages of a tick, in the order they came. A bad one is refused whole, counted, answered if it was a query, and leaves
 // the world as it was.
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
 #include <algorithm>
+#include <cstdio>
 #include <stdexcept>
 
 #include "state.h"
@@ -8,6 +12,8 @@
 
 namespace crumple {
 namespace {
+
+constexpr size_t given_most = size_t{8} << 20;  // bytes of a car that is given; one of 20,000 nodes has so many
 
 Refusal stale(const char* what, uint64_t sequence, uint64_t last) {
   return {Reason::stale_sequence, std::string(what) + ": sequence is " + std::to_string(sequence) + "; above " +
@@ -84,9 +90,18 @@ Verdict take_budget(World& world, const Bytes& bytes) {
   return std::nullopt;
 }
 
+// Before it is checked whole, which is long.
 Verdict take_asset(World& world, const Bytes& bytes) {
   GivenAsset asset;
   if (Verdict refusal = decode(bytes, world.limits, asset)) return refusal;
+  if (asset.car.size() > given_most) {
+    return Refusal{Reason::too_large, "asset: a baked car of " + std::to_string(asset.car.size()) + " bytes is more than the " +
+                                          std::to_string(given_most) +
+                                          " that may be given while the scene runs; give its file to `crumple serve --car`"};
+  }
+  char hash[17];
+  std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(XXH64(asset.car.data(), asset.car.size(), 0)));
+  if (find_asset(world, hash)) return std::nullopt;
   try {
     return give(world, read_car(asset.car, "asset"));
   } catch (const std::runtime_error& error) {

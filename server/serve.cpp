@@ -34,10 +34,11 @@ constexpr size_t inbox_limit = 20'000;
 constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars have 200 kB
 // Queries wait in line, and a tick lets in as many as this pays for. A keyframe is copied and packed: some 20 us. A command may
 // copy a whole body (spawn, save, load), a query for an asset copies 256 KiB: some ms at 50,000 nodes. A baked car that is
-// given is checked whole, which takes as long at a tenth of them: one a tick.
+// given is checked whole, which takes as long at a tenth of them, and what hosts told last may be 16 MiB: one a tick.
 constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
+constexpr size_t long_asset = size_t{64} << 10;  // what is shorter is no car, and refused at once
 constexpr std::string_view asset_root = "crumple/1/asset/";
 constexpr std::string_view world_key = "replica/world", latest_key = "inputs";
 constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
@@ -261,7 +262,8 @@ void admit_queries(Server& server) {
   for (int left = queries_pay; !server.queries.empty(); server.queries.pop_front()) {
     Message& next = server.queries.front();
     const Channel channel = channel_of(next.key);
-    left -= channel == Channel::keyframe ? keyframe_costs : channel == Channel::asset ? queries_pay : other_query_costs;
+    const bool long_one = next.key == latest_key || (channel == Channel::asset && next.bytes.size() > long_asset);
+    left -= long_one ? queries_pay : channel == Channel::keyframe ? keyframe_costs : other_query_costs;
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
     if (next.key == latest_key) {
@@ -418,6 +420,7 @@ void run(Server& server, const std::atomic<bool>& stop) {
     if (now < next_health) continue;
     next_health += std::chrono::seconds(1);
     publish_health(server);
+    server.latest.forget_others(hosts(*server.world));
     tell_refusals(server, told);
     if (server.recording) tell_recording(server);
   }

@@ -318,6 +318,12 @@ std::vector<std::string> cars(const World& world) {
   return ids;
 }
 
+std::vector<std::string> hosts(const World& world) {
+  std::vector<std::string> ids;
+  for (const auto& [id, host] : world.hosts) ids.push_back(id);
+  return ids;
+}
+
 void set_clock(World& world, std::function<double()> clock) { world.clock = std::move(clock); }
 
 WorldHandle make_world(double rate, float quantum, const Limits& limits) {

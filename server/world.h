@@ -61,8 +61,9 @@ Message budget_message(uint64_t visits);
 uint64_t hash(const World&);
 // Viewers are told of every car anew in the next tick: a server has taken over.
 void renew(World&);
-// Ids of the cars that live.
+// Ids of the cars that live, and of the hosts that have cars or obstacles.
 std::vector<std::string> cars(const World&);
+std::vector<std::string> hosts(const World&);
 // Ticks done. The first is 1, so that 0 can stand for none.
 uint64_t tick_count(const World&);
 

@@ -99,7 +99,7 @@ finally:
     shutil.rmtree(folder, ignore_errors=True)
 
 # What takes too long for a test is at least there.
-for name in re.findall(r"`build/((?:bench|tests|clients)/[\w/.]+)", README):
+for name in re.findall(r"`build/((?:bench/|tests/)crumple_\w+|clients/[\w/.]+)", README):
     need((BUILD / name).exists(), f"names build/{name}, which is not built")
 for name in re.findall(r"`((?:bench|clients|recordings|schema|server|tests)/[\w/.]+)", README):
     need((ROOT / name).exists(), f"names {name}, which is not there")

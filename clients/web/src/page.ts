@@ -130,6 +130,7 @@ class ShownCar {
     this.stage.group.remove(this.group, this.arrow);
     this.mesh?.geometry.dispose();
     this.mesh?.material.dispose();
+    release(this.arrow);
     this.label.remove();
     this.row.remove();
   }
@@ -244,18 +245,24 @@ const steel = new THREE.MeshStandardMaterial({ color: "#4d5358", roughness: 0.45
 const ghost = new THREE.MeshBasicMaterial({ color: "#8c8778", transparent: true, opacity: 0.13, depthWrite: false });
 const edge = new THREE.LineBasicMaterial({ color: "#5b5f63" });
 
+/** Gives the graphics card's memory back; materials are shared. */
+function release(group: THREE.Group): THREE.Group {
+  group.traverse((object) => (object as THREE.Mesh).geometry?.dispose());
+  return group;
+}
+
 function updateObstacles({ source: current, obstacles, group }: Stage): boolean {
   const source = current(), now = source.now();
   let moving = false;
   for (const [host, item] of obstacles)
     if (!source.obstacles.has(host)) {
-      group.remove(item.group);
+      group.remove(release(item.group));
       obstacles.delete(host);
     }
   for (const [host, { list, at }] of source.obstacles) {
     let item = obstacles.get(host);
     if (item?.list !== list) {
-      if (item) group.remove(item.group);
+      if (item) group.remove(release(item.group));
       item = { list, group: new THREE.Group() };
       obstacles.set(host, item);
       group.add(item.group);
@@ -486,7 +493,7 @@ function turn(azimuth: number, polar: number, nearer: number): void {
 const keys: Record<string, () => void> = {
   ArrowLeft: () => turn(-0.1, 0, 1), ArrowRight: () => turn(0.1, 0, 1), ArrowUp: () => turn(0, -0.07, 1), ArrowDown: () => turn(0, 0.07, 1),
   "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
-  " ": () => clock && element("play").click(), o: () => element("open").click(), b: () => element("beside").click(),
+  " ": () => clock && element("play").click(), o: () => element("open").click(), b: () => current.length === 1 && element("beside").click(),
   c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
 };
 addEventListener("keydown", (event) => {
@@ -673,7 +680,7 @@ function drawPart(part: Rectangle, i: number): void {
 }
 
 let tools: Tools | null = null;
-const workbench = { canvas, camera, controls, wake, followed: () => followed, cars: () => (source === live ? shown : new Map<string, ShownCar>()) };
+const workbench = { canvas, camera, controls, wake, followed: () => followed, cars: () => (source === live && !comparison ? shown : new Map<string, ShownCar>()) };
 void startTools(element("tools"), workbench).then((started) => {
   tools = started;
   wake();

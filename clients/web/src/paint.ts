@@ -50,7 +50,7 @@ export class Paint {
   constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
     this.root.id = "paint";
     this.root.innerHTML = `<summary>Paint</summary>
-      <button id="paint-on" aria-pressed="false" aria-keyshortcuts="b" title="Key B">Paint with the pointer</button>
+      <button id="paint-on" aria-pressed="false" aria-keyshortcuts="m" title="Key M">Paint with the pointer</button>
       <p class="note">Right button, two fingers or arrow keys turn the view meanwhile. Anchors hold the car on its pose.</p>
       <label class="row">Brush <select id="paint-kind"><option value="region">region</option><option value="anchor">anchors</option><option value="eraser">eraser</option></select></label>
       <label class="row">Name <input id="paint-name" value="front" maxlength="32" list="paint-names" autocomplete="off"></label><datalist id="paint-names"></datalist>
@@ -102,6 +102,7 @@ export class Paint {
     const { car } = this.chosen() ?? {};
     // Viewers are told poses by hosts only.
     if (car && car.id === this.#stands?.id && car.life !== this.#stands.life) car.pose ??= this.#stands.pose;
+    if (this.#on && !car) return this.toggle(false);
     const shown = this.#on ? this.chosen() : null, wanted = shown?.mesh ? shown : null;
     if (wanted === this.#of) return;
     this.#drop();
@@ -168,7 +169,7 @@ export class Paint {
     addEventListener("keydown", (event) => {
       if (event.target instanceof HTMLInputElement && event.target.type !== "range") return;
       const key = event.key.toLowerCase();
-      if (key === "b" && !event.ctrlKey && !event.metaKey && !event.altKey && this.chosen()) return this.toggle(!this.#on);
+      if (key === "m" && !event.ctrlKey && !event.metaKey && !event.altKey && this.chosen()) return this.toggle(!this.#on);
       if (!this.#on || !(event.ctrlKey || event.metaKey)) return;
       if (key === "z" || key === "y") {
         event.preventDefault();
@@ -301,7 +302,7 @@ export class Paint {
   async #bake(): Promise<void> {
     const shown = this.chosen();
     if (!shown?.car.baked) return this.tell("there is no car to paint", true);
-    const { id, host, life, surface } = shown.car, pose = shown.car.pose ?? { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+    const { id, life, surface } = shown.car;
     const button = this.#find<HTMLButtonElement>("#paint-bake"), begun = performance.now();
     button.disabled = true;
     this.tell("re-baking …");
@@ -311,8 +312,14 @@ export class Paint {
       this.#baked = { bytes, name: `${baked.name}-painted.car` };
       this.#find<HTMLButtonElement>("#paint-car").disabled = false;
       if (asset !== surface.asset) {
+        const { host } = shown.car, pose = shown.car.pose ?? { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
         await this.control.despawn(id);
-        await this.control.spawn(id, asset, host || "page", pose);
+        try {
+          await this.control.spawn(id, asset, host || "page", pose);
+        } catch (error) {
+          await this.control.spawn(id, surface.asset, host || "page", pose); // rather the old one than none
+          throw error;
+        }
         this.#stands = { id, life, pose };
       }
       this.toggle(false);

@@ -46,6 +46,8 @@ export class Tune {
   #shown = ""; // the car and its regions that the choice of regions is of
   #set = new Map<string, Map<number, Changes>>(); // by car and its life, by region
   #waiting: Changes = {};
+  #moved: Shown | null = null; // whose they are
+  #sent: Promise<unknown> = Promise.resolve(); // one after another, so that the last one stands
   #timer = 0;
 
   constructor(readonly control: Control, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -133,15 +135,16 @@ export class Tune {
     const region = ofCar ? -1 : this.#region_;
     if ((this.#waiting.region ?? region) !== region) this.#flush();
     this.#waiting = { ...this.#waiting, ...changes, region };
+    this.#moved = this.chosen();
     clearTimeout(this.#timer);
     this.#timer = window.setTimeout(() => this.#flush(), pause);
   }
 
   #flush(): void {
     clearTimeout(this.#timer);
-    const changes = this.#waiting, shown = this.chosen();
+    const changes = this.#waiting, shown = this.#moved;
     this.#waiting = {};
-    if (shown && changes.region !== undefined) void this.#send(shown, changes);
+    if (shown && changes.region !== undefined) this.#sent = this.#sent.then(() => this.#send(shown, changes));
   }
 
   async #send(shown: Shown, changes: Changes): Promise<boolean> {

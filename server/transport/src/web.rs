@@ -9,12 +9,13 @@ use axum::Router;
 use axum::body::{Bytes, to_bytes};
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ffi::CString;
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -191,19 +192,22 @@ impl Drop for Web {
 
 /// A page of another site may be in the same browser, and its name may lead here: neither is answered.
 async fn same_site(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
-    if is_same_site(request.headers(), shared.loopback) {
+    if is_same_site(request.headers(), shared.loopback, request.method() == Method::POST) {
         return next.run(request).await;
     }
     (StatusCode::FORBIDDEN, "only the page that is served here may ask here\n").into_response()
 }
 
-fn is_same_site(headers: &HeaderMap, loopback: bool) -> bool {
+/// A name of the public network could be led here by whoever owns it: it may see what is public anyway, and command nothing.
+fn is_same_site(headers: &HeaderMap, loopback: bool, commands: bool) -> bool {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
     let host = text(header::HOST).unwrap_or_default();
     let name = host.rsplit_once(':').map_or(host, |(name, port)| if port.ends_with(']') { host } else { name });
     let own = ["localhost", "127.0.0.1", "[::1]"].contains(&name);
     let same = |origin: &str| origin.split_once("://").is_some_and(|(_, from)| from == host);
-    (own || !loopback) && text(header::ORIGIN).is_none_or(same)
+    let bare = name.trim_matches(['[', ']']);
+    let local = bare.parse::<IpAddr>().is_ok() || !bare.contains('.') || bare.ends_with(".local");
+    (own || (!loopback && (local || !commands))) && text(header::ORIGIN).is_none_or(same)
 }
 
 async fn page(State(shared): State<Arc<Shared>>, uri: Uri) -> Response {
