@@ -13,8 +13,6 @@
 namespace crumple {
 namespace {
 
-constexpr size_t given_most = size_t{8} << 20;  // bytes of a car that is given; one of 20,000 nodes has so many
-
 Refusal stale(const char* what, uint64_t sequence, uint64_t last) {
   return {Reason::stale_sequence, std::string(what) + ": sequence is " + std::to_string(sequence) + "; above " +
                                       std::to_string(last) +

@@ -115,6 +115,7 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     if (drawn == null) return;
     Destroy(drawn);
     drawn = null;
+    asset = IntPtr.Zero;
     buffer.Dispose();
   }
 }
