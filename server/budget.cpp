@@ -18,9 +18,11 @@ constexpr double substep_costs = 3, tick_costs = 5;
 
 // Sweeps that a sub-step is left at least; the second step is the first that can be mixed. At 50 km/h, 4,642 nodes end with 4
 // sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 % (bench/page.md).
-// A longer sub-step needs more of them: 345 nodes are 2.5 and 6.0 % off with 4 sub-steps of 4 sweeps, 2.6 and 6.0 with 2 of 6,
-// 3.6 and 5.7 with one of 8.
-constexpr int step = sweeps_a_step, fewest = 2 * step;
+// A longer sub-step needs more of them: 1,071 nodes end in a wall with 2 sub-steps of 6 sweeps 13 % off, of 8 sweeps 2.4 %,
+// which is what 4 sub-steps of 4 are. Where a wave has crossed the mesh by then it does not: 335 nodes are 3.2 % off with 4
+// sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, of 8 sweeps 6.1 (bench/scene.cpp).
+constexpr int step = sweeps_a_step, fewest = 2 * step, fewest_of_halved = 4 * step;
+constexpr size_t few_nodes = 500;
 constexpr double longest_way = 0.8;  // of a sub-step, against an obstacle, in edges of the mesh
 constexpr int usual = 8;             // sweeps of a car that is only now woken: about what the default tolerance asks for
 constexpr double worth = 2;          // how much larger the residual is without the last step
@@ -43,11 +45,9 @@ struct Share {
   }
 };
 
-// The least that a sub-step is left of sweeps where there are fewer sub-steps than its parameters ask for.
 int fewest_sweeps(const Instance& car, int substeps) {
-  int sweeps = fewest;
-  for (int k = substeps; k < int(car.parameters.substeps); k *= 2) sweeps += step;
-  return sweeps;
+  const bool longer = substeps < int(car.parameters.substeps) && car.car->model.node.size() >= few_nodes;
+  return longer ? fewest_of_halved : fewest;
 }
 
 bool may_halve(const Instance& car, int substeps, double seconds) {
@@ -77,14 +77,14 @@ Share ask(const World& world, Instance& car, size_t order, double worst, double&
   const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
   const double halved =
       last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
-  Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), tets, tets};
+  const double all = double(lanes * car.car->blocks.group.size());  // a sweep visits them by the vector
+  Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), all, tets};
   if (last.sweeps == 0) {
     share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
     residual = worst;
     return share;
   }
-  const double all = double(lanes * car.car->blocks.group.size());  // a sweep visits them by the vector
-  share.awake = std::min(all, double(last.work) / last.sweeps);     // it may be on another mesh now
+  share.awake = std::min(all, double(last.work) / last.sweeps);  // it may be on another mesh now
   if (car.fresh > 0) share.awake = all;
   const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
   // One that was kept short would have made more; how many more is seen by letting it.

@@ -115,10 +115,10 @@ TEST(Budget, IsKeptAndSpentOnWhatMatters) {
 }
 
 // Box cars are so coarse that a sub-step may be as long as the tick.
-TEST(Budget, TooSmallForAllLeavesEachASubstepOfEightSweeps) {
+TEST(Budget, TooSmallForAllLeavesEachASubstepOfFourSweeps) {
   const Result result = limited(1);
   for (const auto& of_tick : result.sweeps) {
-    for (int one : of_tick) EXPECT_TRUE(one == 0 || one == 8) << one;
+    for (int one : of_tick) EXPECT_TRUE(one == 0 || one == 4) << one;
   }
 }
 
@@ -155,7 +155,7 @@ void expect_woken_within_the_budget(float speed,
   inbox.push_back(budget_message(1));
   wake(inbox, all_at);
   tick(*world, inbox, outbox, 1);
-  for (const auto& [id, car] : world->cars) EXPECT_EQ(car.response.sweeps, 8u) << "as few as there may be";
+  for (const auto& [id, car] : world->cars) EXPECT_EQ(car.response.sweeps, 4u) << "as few as there may be";
 }
 
 TEST(Budget, CountsCarsThatRestAgainstAWallWhenTheirHostPutsThemElsewhere) {
@@ -191,8 +191,9 @@ TEST(Budget, TakesNoSubstepsAwayWhereATickIsOne) {
   EXPECT_EQ(world->cars.at("a").response.sweeps, 4u);
 }
 
-TEST(Budget, LeavesAFineMeshItsSubsteps) {
-  const auto fine = box_car({30, 16, 8});
+// A car of so many cells in its first tick at a wall, with next to no budget.
+Response pressed(const BoxCells& cells) {
+  const auto fine = box_car(cells);
   const WorldHandle world = make_world(60, 0.0005f);
   add_asset(*world, fine);
   Outbox outbox;
@@ -202,9 +203,19 @@ TEST(Budget, LeavesAFineMeshItsSubsteps) {
         {"host/game/obstacles", host::obstacles(1, {{1, schema::Shape::box, {0.5f, 50, 5}, pose_at(2.77, 0, 1)}})},
         {"host/game/poses", host::poses(1, {{"a", pose_at(0), {12, 0, 0}}})}},
        outbox, 1);
-  const Instance& car = world->cars.at("a");
-  EXPECT_EQ(car.response.substeps, 4u);
-  EXPECT_EQ(car.response.sweeps, 16u);
+  return world->cars.at("a").response;
+}
+
+TEST(Budget, LeavesAFineMeshItsSubsteps) {
+  const Response fine = pressed({30, 16, 8});
+  EXPECT_EQ(fine.substeps, 4u);
+  EXPECT_EQ(fine.sweeps, 4 * 4u);
+}
+
+TEST(Budget, LeavesLongerSubstepsMoreSweepsWhereTheMeshIsNotTooCoarse) {
+  const Response middling = pressed({14, 8, 5});
+  EXPECT_EQ(middling.substeps, 2u);
+  EXPECT_EQ(middling.sweeps, 2 * 8u);
 }
 
 TEST(Budget, GivesTheSameBitsForAnyThreadCountAndWhenItIsFedAgain) {
