@@ -48,6 +48,7 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
   car.host = order.host;
   car.mass = mass_of(order, car.car->model);
   car.body = make_body(car.car->model);
+  car.hashes.log = hash(car.log);
   car.motion.pose = order.pose;
   return std::nullopt;
 }

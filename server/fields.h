@@ -1,6 +1,6 @@
 // The fields of a world, each of them once, for all who walk them: a snapshot writes and reads them (snapshot.cpp), the hash
 // sums them up (hash.cpp). A File takes numbers (`raw`) and sizes of lists (`resize`), and says whether it `reads` into them or
-// only `sums` them up: then bodies and surfaces are left to the sums that their car keeps.
+// only `sums` them up: then bodies, logs and surfaces are left to the hashes that their car keeps.
 #pragma once
 
 #include <string>
@@ -94,9 +94,10 @@ template <class File>
 void field(File& file, Instance& car) {
   field(file, car.level_tick, car.importance, car.host, car.mass.mass, car.mass.inertia, car.mass.center, car.mass.planar);
   field(file, car.parameters, car.motion);
-  for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
+  if constexpr (!File::sums)
+    for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
   field(file, car.touched_tick, car.sweeps, car.substeps, car.fresh);
-  if constexpr (File::sums) file.raw(car.hashes.data(), sizeof car.hashes);
+  if constexpr (File::sums) file.raw(&car.hashes, sizeof car.hashes);
   for (Told& told : car.told) field(file, told);
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }

@@ -3,26 +3,48 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include <cstring>
+
 #include "fields.h"
 
 namespace crumple {
 namespace {
 
-// XXH64 of all that is walked.
+// XXH64 of all that is walked. A field has some bytes, and a world of 1,000 cars 100,000 fields: they are gathered first.
 class Sum {
  public:
   static constexpr bool reads = false, sums = true;
   Sum() { XXH64_reset(&state_, 0); }
-  void raw(const void* data, size_t size) { XXH64_update(&state_, data, size); }
+  void raw(const void* data, size_t size) {
+    if (size > sizeof gathered_ - used_) {
+      flush();
+      if (size > sizeof gathered_) {
+        XXH64_update(&state_, data, size);
+        return;
+      }
+    }
+    std::memcpy(gathered_ + used_, data, size);
+    used_ += size;
+  }
   template <class List>
   void resize(const List& list) {
     const uint64_t size = list.size();
     raw(&size, sizeof size);
   }
-  uint64_t value() const { return XXH64_digest(&state_); }
+  uint64_t value() {
+    flush();
+    return XXH64_digest(&state_);
+  }
 
  private:
+  void flush() {
+    XXH64_update(&state_, gathered_, used_);
+    used_ = 0;
+  }
+
   XXH64_state_t state_;
+  std::byte gathered_[4096];
+  size_t used_ = 0;
 };
 
 }  // namespace

@@ -1,5 +1,8 @@
 #include "reconcile.h"
 
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
 namespace crumple {
 
 ImpulseLog::Change ImpulseLog::since(uint64_t seen, uint64_t now) const {
@@ -12,6 +15,11 @@ ImpulseLog::Change ImpulseLog::since(uint64_t seen, uint64_t now) const {
     sum.angular_velocity += change.angular_velocity;
   }
   return sum;
+}
+
+uint64_t hash(const ImpulseLog& log) {
+  static_assert(sizeof(ImpulseLog::Change) == sizeof(uint64_t) + 6 * sizeof(double));
+  return XXH64(log.changes.data(), sizeof log.changes, 0);
 }
 
 Motion reconcile(const Motion& own, const Intent& intent, const ImpulseLog& log, uint64_t now, bool touching) {

@@ -24,6 +24,8 @@ struct ImpulseLog {
   Change since(uint64_t seen, uint64_t now) const;
 };
 
+uint64_t hash(const ImpulseLog&);
+
 inline constexpr double teleport = 5;  // m: a pose farther than this from the car's own is a new place, not a disagreement
 
 // now: the tick about to be done. touching: an obstacle touched the car in the tick before.

@@ -164,7 +164,7 @@ void save(Writer& file, const std::string& id, Instance& car, Pristine& pristine
   field(file, car);
   auto found = pristine.find(level);
   if (found == pristine.end()) found = pristine.emplace(level, hash(make_body(car.car->model))).first;
-  bool damaged = car.hashes[0] != found->second;
+  bool damaged = car.hashes.body != found->second;
   field(file, damaged);
   if (damaged) field(file, car.body);
 }
@@ -184,10 +184,11 @@ void load(Reader& file, World& world) {
   car.body = make_body(car.car->model);
   if (damaged) field(file, car.body);
   if (car.body.node.size() == car.car->model.node.size()) measure_reach(car.car->model, car.body);
-  car.hashes[0] = hash(car.body);
+  car.hashes.body = hash(car.body);
+  car.hashes.log = hash(car.log);
   for (size_t k = 0; k < car.told.size(); ++k) {
-    car.hashes[1 + 2 * k] = hash(car.told[k].keyframe);
-    car.hashes[2 + 2 * k] = hash(car.told[k].latest);
+    car.hashes.keyframe[k] = hash(car.told[k].keyframe);
+    car.hashes.latest[k] = hash(car.told[k].latest);
   }
 }
 

@@ -40,8 +40,11 @@ struct Instance {
   Motion motion;
   ImpulseLog log;
   uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
-  // Of body, and of keyframe and latest of each surface level; kept, because most cars are idle in most ticks.
-  std::array<uint64_t, 1 + 2 * surface_levels.size()> hashes{};
+  // Hashes of what is large, kept because most cars are idle in most ticks; keyframe and latest of each surface level.
+  struct {
+    uint64_t body = 0, log = 0;
+    std::array<uint64_t, surface_levels.size()> keyframe{}, latest{};
+  } hashes;
   std::array<Told, surface_levels.size()> told;
   // The last ticks', from which this one's share of the budget follows.
   uint16_t sweeps = 0;    // of a sub-step, that it may make at most

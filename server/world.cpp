@@ -59,7 +59,10 @@ void move(const World& world, Instance& car, Worker& worker) {
                         car.motion, world.clock ? &timer : nullptr);
   const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
                                   car.motion.angular_velocity - before.angular_velocity};
-  if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) car.log.add(change);
+  if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) {
+    car.log.add(change);
+    car.hashes.log = hash(car.log);
+  }
   if (touched(car.response)) car.touched_tick = world.tick;
 }
 
@@ -89,9 +92,11 @@ void show(const World& world, Instance& car, Worker& worker) {
     if (!its_turn && !car.body.settled && !told.due) continue;
     const float quantum = quantum_of(world, level);
     quantise(worker.displaced, quantum, worker.displacement);
-    car.news[level] = tell({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
-    car.hashes[1 + 2 * level] = hash(told.keyframe);
-    car.hashes[2 + 2 * level] = hash(told.latest);
+    const News& news = car.news[level] =
+        tell({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
+    if (news.kind == News::Kind::none) continue;
+    car.hashes.latest[level] = hash(told.latest);
+    if (news.kind == News::Kind::keyframe) car.hashes.keyframe[level] = car.hashes.latest[level];
   }
 }
 
@@ -128,7 +133,7 @@ void advance_car(const World& world, Instance& car, Worker& worker) {
   car.news = {};
   const bool same_shape = resting && car.response.substeps == 0 && !car.response.recovered;
   if (!same_shape) show(world, car, worker);
-  if (!same_shape || of_rest(car.body) != before) car.hashes[0] = hash(car.body);
+  if (!same_shape || of_rest(car.body) != before) car.hashes.body = hash(car.body);
   car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
 }
 
@@ -310,6 +315,17 @@ void renew(World& world) {
 void renew(Instance& car) {
   car.idle = false;
   for (Told& told : car.told) told.due = true;
+}
+
+void shown(const World& world, Outbox& outbox) {
+  for (const auto& [id, car] : world.cars) {
+    for (size_t level = 0; level < surface_levels.size(); ++level) {
+      const Told& told = car.told[level];
+      const SurfaceHead head{told.keyframe_tick, car.levels->front()->hash, quantum_of(world, level)};
+      for (Bytes& part : encode_keyframe(head, told.keyframe))
+        outbox.push_back({"car/" + id + "/key/" + std::to_string(level), std::move(part)});
+    }
+  }
 }
 
 std::vector<std::string> cars(const World& world) {

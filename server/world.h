@@ -61,6 +61,8 @@ Message budget_message(uint64_t visits);
 uint64_t hash(const World&);
 // Viewers are told of every car anew in the next tick: a server has taken over.
 void renew(World&);
+// The keyframes of all cars that the next deltas refer to: samples.
+void shown(const World&, Outbox&);
 // Ids of the cars that live, and of the hosts that have cars or obstacles.
 std::vector<std::string> cars(const World&);
 std::vector<std::string> hosts(const World&);

@@ -21,7 +21,13 @@ void displace(const Model& model, const Body& body, std::span<const uint32_t> no
 }
 
 void displace(const Model& model, const LevelMap& to, const Body& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
-  for (size_t i = 0; i < nodes.size(); ++i) out[i] = displacement_of(model, body, to.node[nodes[i]]);
+  std::vector<Vec3> moved(body.node.size());  // a node carries some ten of the other mesh
+  for (size_t i = 0; i < moved.size(); ++i) moved[i] = body.node[i] - model.node[i];
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    const Skin& skin = to.node[nodes[i]];
+    out[i] = Vec3::Zero();
+    for (int k = 0; k < 4; ++k) out[i] += skin.weight[k] * moved[skin.node[k]];
+  }
 }
 
 }  // namespace crumple
