@@ -159,6 +159,12 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
           "writes the session to this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
           "a service that starts again keeps what it recorded before")
       ->type_name("FILE.mcap");
+  verb.add_option(
+          "--record-minutes", options.record_minutes,
+          "goes on in another --record file after so long, which begins with the whole world and replays by itself; 0: all "
+          "in one file")
+      ->check(CLI::Range(0.0, 60.0 * 24 * 365))
+      ->capture_default_str();
   verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
       ->type_name("HOST:PORT");
   verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")

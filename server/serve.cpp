@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <ctime>
 #include <deque>
+#include <future>
 #include <iterator>
 #include <optional>
 #include <set>
@@ -76,7 +77,11 @@ struct Server {
   WorldHandle world;
   Net* net = nullptr;
   std::string record;  // file
-  std::optional<Recording> recording;
+  std::unique_ptr<Recording> recording;
+  Clock::time_point record_until = Clock::time_point::max();
+  std::future<std::string> closing;  // the file before: what is wrong with it
+  uint64_t lost_before = 0;          // by recordings that are closed
+  bool closed_badly = false;
   Metrics* metrics = nullptr;
   std::string recording_told;                    // the last sentence about its trouble
   std::set<std::string, std::less<>> announced;  // cars
@@ -100,16 +105,19 @@ struct Server {
   }
 };
 
+Clock::duration minutes(double count) {
+  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double, std::ratio<60>>(count));
+}
+
 uint64_t wall_ns() {
   return static_cast<uint64_t>(
       std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
 }
 
-// strftime of now, UTC.
-std::string with_time(const std::string& pattern) {
-  const std::time_t now = std::time(nullptr);
+// strftime, UTC.
+std::string with_time(const std::string& pattern, std::time_t time = std::time(nullptr)) {
   char text[4096];
-  const size_t size = std::strftime(text, sizeof text, pattern.c_str(), std::gmtime(&now));
+  const size_t size = std::strftime(text, sizeof text, pattern.c_str(), std::gmtime(&time));
   return size > 0 ? std::string(text, size) : pattern;
 }
 
@@ -126,13 +134,17 @@ void start_world(Server& server) {
   set_clock(*server.world, [start = Clock::now()] { return std::chrono::duration<double>(Clock::now() - start).count(); });
 }
 
-// From here on; what the world holds already goes in front. Who stands by begins twice: that it could not record should show
-// before it is needed.
-void start_recording(Server& server) {
+void check_names(const ServeOptions& options) {
+  if (options.record_minutes == 0) return;
+  const std::time_t now = std::time(nullptr), then = now + std::time_t(60 * options.record_minutes);
+  if (with_time(options.record, now) == with_time(options.record, then))
+    throw std::runtime_error(
+        "--record-minutes: the next file would have the name of the one before: put the time into it, as in "
+        "--record %F-%H%M%S.mcap");
+}
+
+std::unique_ptr<Recording> open_recording(const Server& server, const std::string& file) {
   const ServeOptions& options = server.options;
-  if (options.record.empty()) return;
-  if (server.recording) server.recording->close();
-  server.record = with_time(options.record);
   RecordingHead head;
   if (tick_count(*server.world) > 0) {
     head.world = save_world(*server.world);
@@ -143,7 +155,52 @@ void start_recording(Server& server) {
   head.rate = options.rate;
   head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
   head.cars = server.cars;
-  server.recording.emplace(server.record, head);
+  auto recording = std::make_unique<Recording>(file, head);
+  // For who looks at it: what is seen at the start. The world has these inputs, and refuses them when they are fed again.
+  Outbox outbox;
+  shown(*server.world, outbox);
+  for (const Message& message : outbox) recording->output(tick_count(*server.world), message, wall_ns());
+  for (const auto& [key, message] : server.latest.messages) recording->input(tick_count(*server.world), message, wall_ns());
+  return recording;
+}
+
+// From here on; what the world holds already goes in front. Who stands by begins twice: that it could not record should show
+// before it is needed.
+void start_recording(Server& server) {
+  const ServeOptions& options = server.options;
+  if (options.record.empty()) return;
+  server.recording.reset();
+  server.record = with_time(options.record);
+  server.recording = open_recording(server, server.record);
+  if (options.record_minutes > 0) server.record_until = Clock::now() + minutes(options.record_minutes);
+}
+
+uint64_t lost(const Server& server) { return server.lost_before + (server.recording ? server.recording->lost() : 0); }
+
+void tell_closed(Server& server) {
+  if (!server.closing.valid()) return;
+  const std::string trouble = server.closing.get();
+  if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
+  server.closed_badly |= !trouble.empty();
+}
+
+// Goes on in another file. That no tick waits for the disk, the one before is closed by a thread of its own; while that lasts,
+// and where there can be no other file, the recording goes on in the one that it has.
+void next_recording(Server& server) {
+  server.record_until += minutes(server.options.record_minutes);
+  if (server.closing.valid() && server.closing.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
+  try {
+    const std::string file = with_time(server.options.record);
+    auto next = open_recording(server, file);
+    tell_closed(server);
+    server.lost_before = lost(server);
+    server.closing = std::async(std::launch::async, [before = std::move(server.recording)] { return before->close(); });
+    server.recording = std::move(next);
+    server.record = file;
+    server.recording_told.clear();
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "crumple serve: %s; goes on in %s\n", error.what(), server.record.c_str());
+  }
 }
 
 // Whether one of the endpoints can be reached from another machine.
@@ -339,10 +396,11 @@ void run_tick(Server& server) {
   const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
   server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), work(*server.world));
   const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
-  const uint64_t sum = server.recording || replicated ? hash(*server.world) : 0;
+  uint64_t sum = replicated ? hash(*server.world) : 0;  // a millisecond where cars are a thousand
   if (replicated) publish(server, inputs_message(number, server.inbox, sum));
   announce_cars(server);
   for (const Message& message : server.outbox) publish(server, message);
+  if (server.recording && !replicated) sum = hash(*server.world);
   if (server.recording) {
     for (const Message& message : server.outbox) server.recording->output(number, message, time);
     server.recording->end_tick(number, sum, time);
@@ -364,7 +422,7 @@ void publish_health(Server& server) {
                                  {"oversized", server.samples_oversized},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
-                                 {"recording_lost", server.recording ? server.recording->lost() : 0}});
+                                 {"recording_lost", lost(server)}});
   if (server.metrics) metrics_set(server.metrics, metrics_page(report, server.options.scene).c_str());
   publish(server, report);
   if (server.recording) server.recording->output(tick_count(*server.world), report, wall_ns());
@@ -422,7 +480,9 @@ void run(Server& server, const std::atomic<bool>& stop) {
     publish_health(server);
     server.latest.forget_others(hosts(*server.world));
     tell_refusals(server, told);
-    if (server.recording) tell_recording(server);
+    if (!server.recording) continue;
+    tell_recording(server);
+    if (now >= server.record_until) next_recording(server);
   }
 }
 
@@ -434,12 +494,13 @@ int finish(Server& server) {
     std::fprintf(stderr, "crumple serve: another has taken over scene %s: this server ends here\n",
                  server.options.scene.c_str());
   if (!server.recording) return server.replaced ? 1 : 0;
-  const uint64_t lost = server.recording->lost();
+  const uint64_t missing = lost(server);
+  tell_closed(server);
   const std::string trouble = server.recording->close();
   if (!trouble.empty() && trouble != server.recording_told) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
-  if (lost > 0)
-    std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(lost));
-  if (lost > 0 || !trouble.empty() || server.replaced) return 1;
+  if (missing > 0)
+    std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(missing));
+  if (missing > 0 || !trouble.empty() || server.closed_badly || server.replaced) return 1;
   std::printf("recorded %s\n", server.record.c_str());
   return 0;
 }
@@ -483,6 +544,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   server.root = "crumple/1/" + options.scene + "/";
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   server.pace.limit = 1e-3 * options.budget_ms;
+  check_names(options);
   if (options.standby && options.connect.empty())
     throw std::runtime_error("--standby needs --connect: it meets the scene's server at a router");
   start_world(server);

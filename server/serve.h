@@ -19,10 +19,11 @@ struct ServeOptions {
   int threads = 0;                            // 0: as many as there are cores
   double budget_ms = 12;                      // that the cars of a tick may take; 0: no limit
   double quantum_mm = 0.5;
-  std::string record;   // file, with the start's time (UTC) for %F and the like; empty: none
-  std::string metrics;  // HOST:PORT for Prometheus; empty: none
-  double seconds = 0;   // ends after these; 0: by SIGINT or SIGTERM
-  bool check = false;   // only says whether all this is good
+  std::string record;         // file, with the start's time (UTC) for %F and the like; empty: none
+  double record_minutes = 0;  // then goes on in a file of its own, named anew; 0: all in one
+  std::string metrics;        // HOST:PORT for Prometheus; empty: none
+  double seconds = 0;         // ends after these; 0: by SIGINT or SIGTERM
+  bool check = false;         // only says whether all this is good
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence if it cannot start.

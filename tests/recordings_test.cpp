@@ -416,6 +416,60 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   EXPECT_NE(verified.text.find("lost inputs when it was recorded"), std::string::npos) << verified.text;
 }
 
+TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
+  const Outcome fixed = run({"serve", "--car", car_file.string(), "--record", path("fixed.mcap"), "--record-minutes", "0.05"});
+  EXPECT_EQ(fixed.code, 1);
+  EXPECT_NE(fixed.text.find("--record %F-%H%M%S.mcap"), std::string::npos) << fixed.text;
+
+  fs::create_directory(path("gone"));
+  start_server(path("gone/%s.mcap"), {"--record-minutes", "0.05"});  // 3 s
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  const auto files = [&](const char* where) {
+    std::vector<std::string> found;
+    for (const auto& entry : fs::directory_iterator(path(where))) found.push_back(entry.path().string());
+    std::sort(found.begin(), found.end());  // seconds since 1970: as many digits in all
+    return found;
+  };
+  const auto are_there = [&](const char* where, size_t count) {
+    const auto deadline = Clock::now() + patience;
+    while (files(where).size() < count && Clock::now() < deadline) crumple_poll(host, 100'000);
+    return files(where).size() >= count;
+  };
+  ASSERT_TRUE(are_there("gone", 2));
+  // Where there can be no next file the recording goes on, and takes the next one as soon as it can.
+  fs::rename(path("gone"), path("kept"));
+  EXPECT_TRUE(server->read_until("goes on in ")) << server->text;
+  fs::create_directory(path("gone"));
+  ASSERT_TRUE(are_there("gone", 1));
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+
+  auto all = files("kept");
+  for (const std::string& file : files("gone")) all.push_back(file);
+  uint32_t last = 0;
+  for (const std::string& file : all) {
+    const Contents contents = read(file);
+    EXPECT_FALSE(contents.cut) << file;
+    std::map<std::string, int> number;
+    for (const Message& message : contents.messages) {
+      if (message.is("TickEnd")) {
+        EXPECT_EQ(message.tick, ++last) << file;
+      }
+      ++number[message.topic];
+    }
+    // Who opens the file sees the car and the wall.
+    for (const char* key : {"car/box/key/0", "car/box/key/1", "host/tester/obstacles", "host/tester/poses"})
+      EXPECT_GE(number[std::string("crumple/1/main/") + key], 1) << file << " " << key;
+    if (number["crumple/1/main/tick"] == 0) continue;  // it had just begun
+    const Outcome verified = run({"replay", file, "--verify"});
+    EXPECT_EQ(verified.code, 0) << verified.text;
+  }
+}
+
 TEST_F(Recorded, AFolderThatCannotBeWrittenIsRefusedAtTheStart) {
   for (const char* verb : {"serve", "recover", "export"}) {
     const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_pole.mcap";
