@@ -13,9 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
 KNEES = {
-    "all": ("4,635 nodes, all sweeps", "#D55E00"),
-    "budget": ("4,635 nodes, within the budget", "#0072B2"),
-    "levels": ("4,635, 1,060 or 345 nodes, within the budget", "#009E73"),
+    "all": ("5,000 nodes, all sweeps", "#D55E00"),
+    "budget": ("5,000 nodes, within the budget", "#0072B2"),
+    "levels": ("5,000, 1,000 or 300 nodes, within the budget", "#009E73"),
 }
 PERIOD = 1e3 / 60  # ms
 
@@ -81,7 +81,7 @@ def draw_knees(knees, path):
         axis.minorticks_off()
     for axis in (longest, delay):
         axis.set_yscale("log")
-    late.legend(fontsize=8)
+    figure.legend(*late.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
     figure.savefig(path, dpi=90)
     plt.close(figure)
 
