@@ -138,6 +138,49 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
 }
 
 // Two servers and a router; the one that owns the scene is killed while the car is being crushed.
+TEST_F(EndToEnd, ASessionOnABadLineOfItsOwnIsLateAndEndsWithTheSurfaceOfTheOthers) {
+  start_server(path("impaired.mcap"));
+  Crumple *host = open("tester"), *deaf = open(), *late = open(), *near = open();
+  const CrumpleImpairment nothing_comes{0, 0, 1, 0, 1}, bad{0.25f, 0.05f, 0.1f, 0.1f, 2}, good{}, wrong{0, 0, 1.5f, 0, 0};
+  EXPECT_EQ(crumple_impair(deaf, &wrong), CRUMPLE_BAD_ARGUMENT);
+  ASSERT_EQ(crumple_impair(deaf, &nothing_comes), CRUMPLE_OK) << crumple_error();
+  ASSERT_EQ(crumple_impair(late, &bad), CRUMPLE_OK) << crumple_error();
+  spawn(host);
+  ASSERT_EQ(crumple_impair(host, &bad), CRUMPLE_OK) << crumple_error();  // its poses too
+  for (Crumple* viewer : {deaf, late, near}) ASSERT_EQ(crumple_follow(viewer, "box", 0), CRUMPLE_OK);
+  const auto surface = [](Crumple* viewer) {
+    CrumpleSurface held{};
+    return crumple_surface(viewer, "box", &held) == CRUMPLE_OK ? held : CrumpleSurface{};
+  };
+  for (Crumple* viewer : {deaf, late, near})  // by the answer to a question, which no line here holds up
+    ASSERT_TRUE(until(viewer, [&] { return surface(viewer).hash != 0; }));
+  const uint64_t whole = surface(deaf).hash;
+  std::atomic<bool> over = false;
+  std::map<uint64_t, Clock::time_point> first[2];  // by tick: when late and near first held it
+  std::thread both([&] {
+    while (!over) {
+      crumple_poll(deaf, 0);  // who is silent for long asks for what it missed
+      for (int k = 0; k < 2; ++k) {
+        crumple_poll(k == 0 ? late : near, 1'000);
+        first[k].try_emplace(surface(k == 0 ? late : near).tick, Clock::now());
+      }
+    }
+  });
+  crash(host);
+  over = true;
+  both.join();
+  if (HasFatalFailure()) return;
+  EXPECT_EQ(surface(deaf).hash, whole) << "it hears nothing";
+  auto most = Clock::duration::zero();  // a machine that stands still in between makes it less
+  for (const auto& [tick, when] : first[0])
+    if (first[1].contains(tick)) most = std::max(most, Clock::duration(when - first[1].at(tick)));
+  EXPECT_GE(most, std::chrono::milliseconds(150));
+  ASSERT_EQ(crumple_impair(deaf, &good), CRUMPLE_OK);
+  ASSERT_TRUE(until(near, [&] { return surface(near).hash != whole; }));
+  const uint64_t dented = surface(near).hash;
+  for (Crumple* viewer : {late, deaf}) EXPECT_TRUE(until(viewer, [&] { return surface(viewer).hash == dented; }));
+}
+
 TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   Net* opened = nullptr;
   ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();

@@ -146,6 +146,9 @@ class Session {
     return mesh;
   }
 
+  // A bad line, to test a game on; {} makes it good again.
+  void impair(const CrumpleImpairment& line) { need(crumple_impair(*this, &line)); }
+
   // The server's now, s; 0 while it is not known.
   double time() const { return crumple_time(*this); }
   // Nothing until the first of the session, which comes within a second.

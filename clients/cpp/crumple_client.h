@@ -60,6 +60,16 @@ void crumple_statistics(const Crumple*, CrumpleStatistics* out);
 // message's way, and step a little. 0: nothing has come yet. Without a network: that of the newest tick.
 double crumple_time(const Crumple*);
 
+// A bad line, to test a game on: from now on the poses that this session sends, and all that is published to it, are late or
+// lost, each message by itself, so that they overtake one another; poses leave with the next crumple_poll. The same seed draws
+// alike. Commands, questions and their answers come as ever. All 0: the line is good again, once what is under way has come.
+typedef struct CrumpleImpairment {
+  float delay, jitter;  // s; one way, evenly between delay - jitter and delay + jitter; up to 60
+  float loss, repeat;   // shares, 0 to 1: of what is lost, and of what comes twice
+  uint32_t seed;
+} CrumpleImpairment;
+int crumple_impair(Crumple*, const CrumpleImpairment*);
+
 // A session without `connect` has no network: it takes in what it is given here, for recordings, tests and other ways to carry
 // messages. key: the message's, which is its topic in a recording. A message that the session does not follow is passed over;
 // one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing. A delta whose keyframe is not held counts as `asked` in

@@ -41,6 +41,9 @@ int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder
   if (!session.net) return fail(CRUMPLE_CLOSED, no_network);
   if (session.host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
   const std::string key = session.root + "host/" + session.host + "/" + what;
+  // Obstacles are told once: a line that loses them for good is none that there is.
+  const bool lossy = std::string_view(what) == "poses";
+  if (lossy && impair(session.impaired, true, key, {builder.GetBufferPointer(), builder.GetSize()})) return CRUMPLE_OK;
   const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), NET_REAL_TIME);
   if (status == TRANSPORT_DROPPED) return fail(CRUMPLE_DROPPED, transport_error());
   return status == 0 ? CRUMPLE_OK : fail(CRUMPLE_CLOSED, transport_error());

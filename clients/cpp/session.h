@@ -5,6 +5,7 @@
 #include <deque>
 #include <limits>
 #include <map>
+#include <random>
 #include <set>
 #include <span>
 #include <string>
@@ -76,6 +77,19 @@ struct FollowedCar {
   Clock::time_point last{};   // of its last message
 };
 
+// A bad line, and what is under way on it, by when it comes: to the session, or (key is whole then) to the server.
+struct Impaired {
+  struct Message {
+    bool outgoing;
+    std::string key;
+    std::vector<uint64_t> words;  // the bytes, aligned
+    size_t size;
+  };
+  CrumpleImpairment line{};
+  std::mt19937 draw;
+  std::multimap<Clock::time_point, Message> under_way;
+};
+
 struct CommandAnswer {
   bool arrived = false, ok = false;
   uint64_t tick = 0;
@@ -128,6 +142,7 @@ struct Crumple {
   CrumpleHealth health{};
   crumple::client::ServerClock clock;
   CrumpleStatistics statistics{};
+  crumple::client::Impaired impaired;
   std::vector<float> node, displacement, position, normal;  // scratch of crumple_copy
   std::vector<uint8_t> moved;
 };
@@ -135,6 +150,8 @@ struct Crumple {
 namespace crumple::client {
 // Takes in what arrived.
 void take(Crumple&, const NetEvent&);
+// Whether the message goes the way of a bad line; else it is as if there were none.
+bool impair(Impaired&, bool outgoing, std::string_view key, std::span<const uint8_t> bytes);
 // Whether there is a surface that counts.
 bool held(const FollowedCar&);
 // Keeps what is held, so that it can still be shown when it is no longer the newest.

@@ -62,6 +62,11 @@ public struct Statistics {
   public ulong Received, ReceivedBytes, Surface, SurfaceBytes, Older, Refused, Asked;
 }
 
+public struct Impairment {
+  public float Delay, Jitter, Loss, Repeat;
+  public uint Seed;
+}
+
 /// Parameters.Keep keeps everything; set what should change.
 public struct Parameters {
   public Solver Solver;
@@ -190,6 +195,8 @@ public sealed class Session : IDisposable {
       return statistics;
     }
   }
+  /// A bad line from now on, to test a game on; new Impairment() makes it good again.
+  public void Impair(Impairment line) { Check(Native.crumple_impair(Open, ref line)); }
   /// False until the first of the session, which comes within a second.
   public bool TryHealth(out Health health) { return Native.crumple_health(Open, out health) == 0; }
 
@@ -354,6 +361,7 @@ static class Native {
   [DllImport(library)] public static extern int crumple_poll(IntPtr session, ulong timeout_us);
   [DllImport(library)] public static extern void crumple_statistics(IntPtr session, out Statistics statistics);
   [DllImport(library)] public static extern double crumple_time(IntPtr session);
+  [DllImport(library)] public static extern int crumple_impair(IntPtr session, ref Impairment line);
   [DllImport(library)] public static extern int crumple_feed(IntPtr session, IntPtr key, byte[] bytes, UIntPtr size);
   [DllImport(library)] public static extern Parameters crumple_keep();
   [DllImport(library)]

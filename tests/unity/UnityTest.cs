@@ -165,6 +165,7 @@ static class UnityTest {
       Refuses<Refused>(() => host.Load("car2", new byte[] { 1, 2, 3 }), "");
       Health health;
       while (!host.TryHealth(out health)) host.Poll(0.1);
+      host.Impair(new Impairment { Delay = 0.01f });  // the rest of the crash
       Need(health.Rate == 60 && host.Statistics.Received > 0 && host.Time > 0, "health and statistics are told");
       host.FollowAll(1);
       Surface far;

@@ -123,6 +123,12 @@ class View:
             return None
         return Health(out.tick, out.late, out.rate, out.tick_ms, out.worst_ms, out.refusals)
 
+    def impair(self, delay: float = 0, jitter: float = 0, loss: float = 0, repeat: float = 0, seed: int = 0) -> None:
+        """A bad line from now on, to test a game on: its poses, and all that is published to it, are late (s) or lost (shares).
+        Without arguments it is good again."""
+        line = ffi.new("CrumpleImpairment*", {"delay": delay, "jitter": jitter, "loss": loss, "repeat": repeat, "seed": seed})
+        check(lib.crumple_impair(self._handle, line))
+
     def statistics(self) -> Statistics:
         out = ffi.new("CrumpleStatistics*")
         lib.crumple_statistics(self._handle, out)
