@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js";
 import { readCar, type BakedCar } from "./baked.js";
 import type { Control } from "./control.js";
-import { digits, hashOf, type Pose, type Vec3 } from "./decode.js";
+import { digits, hashOf, type Vec3 } from "./decode.js";
 import { CarMesh } from "./three.js";
 import { download, pick, sentence, type Shown, type Stage } from "./tools.js";
 
@@ -41,10 +41,9 @@ export class Paint {
   #pointers = new Set<number>();
   #mesh: CarMesh | null = null; // at rest, for the rays
   #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what is seen of it
-  #of: Shown | null = null;
+  #hidden: CarMesh | null = null; // in whose place they are shown
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
   #ray = new THREE.Raycaster();
-  #stands: { id: string; life: string; pose: Pose } | null = null; // where the car that takes the place of this life was spawned
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
   constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -99,21 +98,19 @@ export class Paint {
   }
 
   update(): void {
-    const { car } = this.chosen() ?? {};
-    // Viewers are told poses by hosts only.
-    if (car && car.id === this.#stands?.id && car.life !== this.#stands.life) car.pose ??= this.#stands.pose;
-    if (this.#on && !car) return this.toggle(false);
-    const shown = this.#on ? this.chosen() : null, wanted = shown?.mesh ? shown : null;
-    if (wanted === this.#of) return;
+    const shown = this.chosen();
+    if (this.#on && !shown) return this.toggle(false);
+    const wanted = this.#on ? shown!.mesh : null;
+    if (wanted === this.#hidden) return;
     this.#drop();
-    this.#of = wanted;
+    this.#hidden = wanted;
     if (!wanted) return;
-    this.#mesh = new CarMesh(wanted.mesh!.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
+    this.#mesh = new CarMesh(wanted.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
     this.#mesh.visible = false;
     this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), this.#mesh.material);
     this.#mask.castShadow = true;
-    wanted.group.add(this.#mesh, this.#mask, this.#tip);
-    wanted.mesh!.visible = false;
+    wanted.parent!.add(this.#mesh, this.#mask, this.#tip);
+    wanted.visible = false;
     this.#changed();
   }
 
@@ -124,7 +121,7 @@ export class Paint {
 
   /** Where a point of the car, m in its frame, is on the page; for tests. */
   screen(point: Vec3): { x: number; y: number } {
-    const at = new THREE.Vector3(...point).applyMatrix4(this.#of!.group.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
+    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
     return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
   }
 
@@ -133,7 +130,7 @@ export class Paint {
   }
 
   #drop(): void {
-    if (this.#of?.mesh) this.#of.mesh.visible = true;
+    if (this.#hidden) this.#hidden.visible = true;
     for (const object of [this.#mesh, this.#mask, this.#tip]) object?.removeFromParent();
     this.#mesh?.geometry.dispose();
     this.#mask?.geometry.dispose();
@@ -302,7 +299,7 @@ export class Paint {
   async #bake(): Promise<void> {
     const shown = this.chosen();
     if (!shown?.car.baked) return this.tell("there is no car to paint", true);
-    const { id, life, surface } = shown.car;
+    const { id, surface } = shown.car;
     const button = this.#find<HTMLButtonElement>("#paint-bake"), begun = performance.now();
     button.disabled = true;
     this.tell("re-baking …");
@@ -311,17 +308,7 @@ export class Paint {
       const asset = digits(hashOf(bytes)), baked: BakedCar = readCar(bytes, asset), took = Math.round(performance.now() - begun);
       this.#baked = { bytes, name: `${baked.name}-painted.car` };
       this.#find<HTMLButtonElement>("#paint-car").disabled = false;
-      if (asset !== surface.asset) {
-        const { host } = shown.car, pose = shown.car.pose ?? { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
-        await this.control.despawn(id);
-        try {
-          await this.control.spawn(id, asset, host || "page", pose);
-        } catch (error) {
-          await this.control.spawn(id, surface.asset, host || "page", pose); // rather the old one than none
-          throw error;
-        }
-        this.#stands = { id, life, pose };
-      }
+      if (asset !== surface.asset) await this.control.replace(id, asset);
       this.toggle(false);
       this.tell(`${id} is now ${asset}: ${baked.regions.join(", ")}; baked in ${took} ms`);
     } catch (error) {
