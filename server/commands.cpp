@@ -1,4 +1,4 @@
-// Commands on a car: spawn, despawn, repair, parameters, save, load. Each is done whole or refused with a sentence.
+// Commands on a car: spawn, despawn, repair, parameters, save, load, replace. Each is done whole or refused with a sentence.
 #include <algorithm>
 
 #include "state.h"
@@ -23,6 +23,11 @@ Mass mass_of(const SpawnOrder& order, const Model& model) {
   return mass;
 }
 
+Refusal unknown_asset(const std::string& order, const std::string& asset) {
+  return {Reason::unknown_asset,
+          order + ": asset " + asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
+}
+
 Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
   if (world.cars.contains(id)) return Refusal{Reason::already_there, "spawn: car " + id + " lives already; despawn it first"};
   if (world.cars.size() >= world.limits.cars) {
@@ -31,11 +36,7 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
                                               " cars that are allowed; despawn another first"};
   }
   const Levels* levels = find_asset(world, order.asset);
-  if (!levels) {
-    return Refusal{
-        Reason::unknown_asset,
-        "spawn: asset " + order.asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
-  }
+  if (!levels) return unknown_asset("spawn", order.asset);
   Host* host = find_or_add_host(world, order.host);
   if (!host) {
     return Refusal{Reason::too_many_hosts, "spawn: host " + order.host + " would be one more than the " +
@@ -102,6 +103,19 @@ Verdict obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&
   body.step.assign(body.node.size(), Vec3::Zero());
   measure_reach(model, body);
   renew(target.car);
+  return std::nullopt;
+}
+
+Verdict obey_order(World& world, const Target& target, ReplaceOrder&& order, Bytes&) {
+  const Levels* levels = find_asset(world, order.asset);
+  if (!levels) return unknown_asset("replace", order.asset);
+  Instance& car = target.car;
+  car.levels = levels;
+  car.car = levels->front();
+  car.level_tick = 0;
+  car.body = make_body(car.car->model);
+  car.response = {};
+  renew(car);
   return std::nullopt;
 }
 

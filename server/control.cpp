@@ -22,11 +22,11 @@ bool is_plain_id(std::string_view id) {
   return !id.empty() && id.size() <= 32 && id.find_first_not_of(allowed) == id.npos;
 }
 
-std::shared_ptr<const Car> paint(std::span<const std::byte> bytes, const std::string& hash, std::string regions) {
+std::shared_ptr<const Car> paint(const Control::Bytes& bytes, const std::string& hash, std::string regions) {
   BakeOptions options;
   options.input = "car " + hash;
   options.regions = {"the regions", std::move(regions)};
-  return rebake(*read_car(bytes, options.input), options).car;
+  return rebake(*read_car(std::as_bytes(std::span(*bytes)), options.input), options).car;
 }
 
 }  // namespace
@@ -46,13 +46,9 @@ std::string parameters_json(bool control) {
   return json + "]}\n";
 }
 
-Control::Control(Net* net, Web* web, std::string root) : net_(net), web_(web), root_(std::move(root)) {
+Control::Control(Net* net, Web* web, std::string root, Shown shown, Painted painted)
+    : net_(net), web_(web), root_(std::move(root)), shown_(std::move(shown)), painted_(std::move(painted)) {
   if (web_take_requests(web_) < 0) throw std::runtime_error(transport_error());
-}
-
-void Control::keep(const std::string& hash, std::span<const uint8_t> bytes) {
-  const auto from = std::as_bytes(bytes);
-  cars_.try_emplace(hash, from.begin(), from.end());
 }
 
 void Control::refuse(uint64_t ticket, uint16_t status, const std::string& sentence) {
@@ -85,14 +81,10 @@ void Control::take(const WebRequest& request) {
   if (!path.starts_with(paint_path))
     return refuse(request.ticket, 404, "commands go to /command/car/{car}, paint to /paint/{hash}");
   const std::string hash(path.substr(paint_path.size()));
-  if (!cars_.contains(hash)) return refuse(request.ticket, 404, "no car of this scene is of that asset");
-  begin_painting(request, hash);
-}
-
-void Control::begin_painting(const WebRequest& request, const std::string& hash) {
+  const Bytes car = shown_(hash);
+  if (!car) return refuse(request.ticket, 404, "no car of this scene is of that asset");
   std::string regions(reinterpret_cast<const char*>(request.data), request.size);
-  painting_.emplace(request.ticket, std::async(std::launch::async, paint, std::span<const std::byte>(cars_.at(hash)), hash,
-                                               std::move(regions)));
+  painting_.emplace(request.ticket, std::async(std::launch::async, paint, car, hash, std::move(regions)));
 }
 
 // One painting at a time, and what comes after it waits at the door, where whoever goes is forgotten.
@@ -119,10 +111,7 @@ bool Control::take_reply(const NetEvent& event) {
   } else if (!car) {
     web_answer(web_, ticket, 200, "application/octet-stream", event.data, event.size);
   } else if (const auto* answer = flatbuffers::GetRoot<schema::Answer>(event.data); answer->ok()) {
-    // What browsers ask for as soon as it is spawned.
-    const std::span bytes(reinterpret_cast<const uint8_t*>(car->bytes.data()), car->bytes.size());
-    web_page(web_, ("/asset/" + car->hash).c_str(), "application/octet-stream", bytes.data(), bytes.size());
-    keep(car->hash, bytes);
+    painted_(*car);
     web_answer(web_, ticket, 200, "application/octet-stream", car->bytes.data(), car->bytes.size());
   } else {
     refuse(ticket, 409, answer->sentence() ? answer->sentence()->str() : "the scene's server refused the car");

@@ -4,12 +4,14 @@
 // Whatever is refused comes with a status of 4xx or 5xx and a sentence.
 #pragma once
 
+#include <functional>
 #include <future>
 #include <map>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "asset/car.h"
@@ -22,9 +24,11 @@ std::string parameters_json(bool control);
 
 class Control {
  public:
-  Control(Net*, Web*, std::string root);
-  // A baked car that the scene shows: one that can be painted.
-  void keep(const std::string& hash, std::span<const uint8_t> bytes);
+  using Bytes = std::shared_ptr<const std::vector<uint8_t>>;
+  // shown: the baked car of this hash; null: none. painted: takes one that the scene's server has been given.
+  using Shown = std::function<Bytes(const std::string& hash)>;
+  using Painted = std::function<void(const crumple::Car&)>;
+  Control(Net*, Web*, std::string root, Shown, Painted);
   // Takes what browsers have asked, and answers what is done.
   void work();
   // Whether the event belonged to a question of this one.
@@ -38,7 +42,6 @@ class Control {
   };
   void take(const WebRequest&);
   void command(const WebRequest&, const std::string& car);
-  void begin_painting(const WebRequest&, const std::string& hash);
   void give(uint64_t ticket, const Car&);
   void pass(const Passed&, const std::string& key, std::span<const uint8_t>);
   void refuse(uint64_t ticket, uint16_t status, const std::string& sentence);
@@ -46,7 +49,8 @@ class Control {
   Net* net_;
   Web* web_;
   std::string root_;
-  std::map<std::string, std::vector<std::byte>> cars_;             // by hash
+  Shown shown_;
+  Painted painted_;
   std::optional<std::pair<uint64_t, std::future<Car>>> painting_;  // its ticket; one at a time
   std::map<uint64_t, Passed> passed_;                              // by the ticket of net_get
 };

@@ -14,10 +14,12 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <span>
 #include <stdexcept>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -39,13 +41,17 @@ constexpr std::chrono::milliseconds hit_ends{1000};  // without a contact
 // What health says of a car that spoke so lately may still be on its way.
 constexpr std::chrono::milliseconds on_its_way{100};
 // Whoever may publish here can invent keys: so many are passed on.
-constexpr size_t car_limit = 4'096, host_limit = 512, asset_count_limit = 64;
-constexpr size_t asset_limit = size_t{256} << 20, sample_limit = size_t{1} << 20;  // bytes
+constexpr size_t car_limit = 4'096, host_limit = 512;
+constexpr size_t sample_limit = size_t{1} << 20;  // bytes
+// Assets: those of the cars that live, and of those before them the newest few, for pages that are behind. Together they have
+// so many bytes (one of 10,000 nodes has 4 MB), with control twice.
+constexpr size_t spare_limit = 8, assets_limit = size_t{1} << 30;
 constexpr std::string_view asset_root = "crumple/1/asset/";
 
 struct WatchedCar {
   uint64_t life = 0;                // so that browsers know it from the next of its id
   uint64_t key_tick = 0, tick = 0;  // of the keyframe, and of the newest message, that were passed on
+  std::string asset;                // of its keyframe
   bool wanted = true;               // its keyframe
   uint64_t asking = 0;              // ticket; 0: none
   Clock::time_point asked{}, heard{};
@@ -54,8 +60,10 @@ struct WatchedCar {
 };
 
 struct Fetched {
-  std::vector<uint8_t> bytes;
-  bool whole = false;
+  uint64_t number = 0;  // in the order in which they were wanted
+  size_t size = 0;
+  std::shared_ptr<std::vector<uint8_t>> bytes;  // what has come; of a whole one only where it may be painted
+  bool done = false;                            // whole, or there is no room for it
   uint64_t asking = 0;
   Clock::time_point asked{};
 };
@@ -68,6 +76,8 @@ struct Gateway {
   uint64_t lives = 0;  // the last one; browsers stay when a gateway is started again, so it counts from the time
   std::map<std::string, WatchedCar, std::less<>> cars;
   std::map<std::string, Fetched, std::less<>> assets;  // by hash
+  uint64_t wanted = 0;                                 // assets so far
+  Clock::time_point looked{};                          // for cars whose asset did not come
   std::set<std::string, std::less<>> hosts;            // keys of what they told
   bool late = false;                                   // what hosts told before is wanted
   uint64_t asking = 0;                                 // ticket of the question for it; 0: none
@@ -119,36 +129,81 @@ void take_liveliness(Gateway& gateway, std::string_view key, bool alive) {
 }
 
 void ask_for_piece(Gateway& gateway, const std::string& hash, Fetched& asset) {
-  const uint64_t offset = asset.bytes.size();
+  const uint64_t offset = asset.size;
   asset.asked = Clock::now();
   if (net_get(gateway.net, (std::string(asset_root) + hash).c_str(), &offset, sizeof offset, asset_ms, &asset.asking) == 0)
     gateway.tickets[asset.asking] = hash;
 }
 
+// The oldest that no car is of.
+void forget_assets(Gateway& gateway) {
+  std::set<std::string_view> of_cars;
+  for (const auto& [id, car] : gateway.cars) of_cars.insert(car.asset);
+  std::map<uint64_t, std::string> spare;
+  for (const auto& [hash, asset] : gateway.assets)
+    if (!of_cars.contains(hash)) spare[asset.number] = hash;
+  for (; spare.size() > spare_limit; spare.erase(spare.begin())) {
+    const std::string& oldest = spare.begin()->second;
+    gateway.assets.erase(oldest);
+    need(web_forget(gateway.web, ("/asset/" + oldest).c_str()));
+  }
+}
+
+Fetched& find_or_add_asset(Gateway& gateway, const std::string& hash) {
+  const auto [at, is_new] = gateway.assets.try_emplace(hash);
+  if (is_new) {
+    at->second.number = ++gateway.wanted;
+    forget_assets(gateway);
+  }
+  return at->second;
+}
+
 void want_asset(Gateway& gateway, const std::string& hash) {
-  if (gateway.assets.size() >= asset_count_limit && !gateway.assets.contains(hash)) return;
-  Fetched& asset = gateway.assets[hash];
-  if (asset.whole || asset.asking || Clock::now() - asset.asked < ask_again) return;
-  asset.bytes.clear();
+  Fetched& asset = find_or_add_asset(gateway, hash);
+  if (asset.done || asset.asking || Clock::now() - asset.asked < ask_again) return;
+  asset.size = 0;
+  asset.bytes = std::make_shared<std::vector<uint8_t>>();
   ask_for_piece(gateway, hash, asset);
+}
+
+bool has_room(const Gateway& gateway, size_t more) {
+  for (const auto& [hash, asset] : gateway.assets) more += asset.size;
+  return more <= assets_limit;
+}
+
+void show_asset(Gateway& gateway, const std::string& hash, Fetched& asset) {
+  asset.size = asset.bytes->size();
+  asset.done = true;
+  need(web_page(gateway.web, ("/asset/" + hash).c_str(), "application/octet-stream", asset.bytes->data(), asset.size));
+  if (!gateway.control) asset.bytes.reset();
+}
+
+// Painted here: browsers ask for it as soon as a car is made of it.
+void take_painted(Gateway& gateway, const Car& car) {
+  Fetched& asset = find_or_add_asset(gateway, car.hash);
+  if (asset.done || !has_room(gateway, car.bytes.size())) return;
+  const auto* bytes = reinterpret_cast<const uint8_t*>(car.bytes.data());
+  asset.bytes = std::make_shared<std::vector<uint8_t>>(bytes, bytes + car.bytes.size());
+  asset.asking = 0;
+  show_asset(gateway, car.hash, asset);
 }
 
 void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::span<const uint8_t> piece) {
   asset.asking = 0;
-  if (asset.bytes.size() + piece.size() > asset_limit) return;
-  asset.bytes.insert(asset.bytes.end(), piece.begin(), piece.end());
+  if (!has_room(gateway, piece.size())) {
+    std::fprintf(stderr, "crumple view: asset %s is not shown: the cars of this scene have more than %zu MiB together\n",
+                 hash.c_str(), assets_limit >> 20);
+    asset.done = true;
+    asset.size = 0;
+    return asset.bytes.reset();
+  }
+  asset.bytes->insert(asset.bytes->end(), piece.begin(), piece.end());
+  asset.size = asset.bytes->size();
   if (piece.size() == asset_piece) return ask_for_piece(gateway, hash, asset);
   char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx",
-                static_cast<unsigned long long>(XXH64(asset.bytes.data(), asset.bytes.size(), 0)));
-  asset.whole = hash == digits;
-  if (asset.whole) {
-    need(web_page(gateway.web, ("/asset/" + hash).c_str(), "application/octet-stream", asset.bytes.data(), asset.bytes.size()));
-    if (gateway.control) gateway.control->keep(hash, asset.bytes);
-  } else {
-    std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
-  }
-  asset.bytes = {};
+  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(asset.bytes->data(), asset.size, 0)));
+  if (hash == digits) return show_asset(gateway, hash, asset);
+  std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
 }
 
 void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
@@ -159,7 +214,9 @@ void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std
   if (message->count() == message->node_count()) car.wanted = false;
   const uint32_t first = message->first();
   set(gateway, "car/" + id + "/key/0" + (first > 0 ? "/" + std::to_string(first) : ""), bytes);
-  if (message->asset()->size() == 16) want_asset(gateway, message->asset()->str());
+  if (message->asset()->size() != 16) return;
+  car.asset = message->asset()->str();
+  want_asset(gateway, car.asset);
 }
 
 void take_delta(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
@@ -286,7 +343,10 @@ void ask(Gateway& gateway) {
     gateway.asked = now;
     need(net_get(gateway.net, (gateway.root + "inputs").c_str(), nullptr, 0, keyframe_ms, &gateway.asking));
   }
+  const bool looks = now - gateway.looked >= ask_again;
+  if (looks) gateway.looked = now;
   for (auto& [id, car] : gateway.cars) {
+    if (looks && !car.asset.empty()) want_asset(gateway, car.asset);
     if (!car.wanted || car.asking || now - car.asked < ask_again) continue;
     car.asked = now;
     if (net_get(gateway.net, (gateway.root + "car/" + id + "/key/0").c_str(), nullptr, 0, keyframe_ms, &car.asking) == 0)
@@ -402,7 +462,14 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   gateway.root = "crumple/1/" + scene + "/";
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
-  if (options.control) gateway.control.emplace(gateway.net, gateway.web, gateway.root);
+  if (options.control) {
+    const auto shown = [&gateway](const std::string& hash) -> Control::Bytes {
+      const auto asset = gateway.assets.find(hash);
+      return asset != gateway.assets.end() && asset->second.done ? asset->second.bytes : nullptr;
+    };
+    const auto painted = [&gateway](const Car& car) { take_painted(gateway, car); };
+    gateway.control.emplace(gateway.net, gateway.web, gateway.root, shown, painted);
+  }
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
     need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})

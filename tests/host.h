@@ -76,6 +76,10 @@ inline Bytes spawn(const std::string& asset, const std::string& owner, const sch
   Builder builder;
   return command(builder, schema::CreateSpawnDirect(builder, asset.c_str(), owner.c_str(), &pose, mass));
 }
+inline Bytes replace(const std::string& asset) {
+  Builder builder;
+  return command(builder, schema::CreateReplaceDirect(builder, asset.c_str()));
+}
 inline Bytes asset(const Car& car) {
   Builder builder;
   const auto bytes = builder.CreateVector(reinterpret_cast<const uint8_t*>(car.bytes.data()), car.bytes.size());

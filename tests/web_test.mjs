@@ -2,6 +2,7 @@
 //   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
 //   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
 //   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
+//   node tests/web_test.mjs repaint PROGRAM CAR WEB     a car that is painted anew again and again is always shown, and what it was is forgotten
 //   node tests/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
 //   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
 // WEB: the folder build/web.
@@ -436,7 +437,7 @@ async function checkRefusals(url, asset) {
   assert.match(await ask(`paint/${asset}`, "{regions: []}", { Origin: "http://another.example" }), /^403 /, "a page of another site commands");
   const control = await Control.find(url);
   await assert.rejects(control.repair("nobody"), /nobody does not live here/);
-  await assert.rejects(control.spawn("x", none, "page", { position: [0, 0, 0], orientation: [0, 0, 0, 1] }), /not one of this server's/);
+  await assert.rejects(control.spawn("x", none, "page", origin), /not one of this server's/);
   return control;
 }
 
@@ -453,6 +454,51 @@ async function hit(live, folder, options) {
   assert.equal(await drive.ended, 0, "drive failed");
   const { quanta, quantum } = live.cars.get("painted").surface;
   return quantum * quanta.reduce((most, q) => Math.max(most, Math.abs(q)), 0);
+}
+
+const origin = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+/** Baked cars that server and gateway keep beside those of the cars that live. */
+const given = 16, spare = 8;
+
+async function repaint() {
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web");
+  const options = ["--connect", await said(server, /at (tcp\S+),/), "--scene", "web"];
+  const gateway = view(...options, "--control", "--listen", "127.0.0.1:0"), url = await address(gateway), live = new Live(url);
+  await until("the scene's server", () => live.server);
+  const commander = await Control.find(url), info = start("info", car);
+  assert.equal(await info.ended, 0);
+  const hashes = [/\b[0-9a-f]{16}\b/.exec(info.text)[0]];
+  await commander.spawn("painted", hashes[0], "page", origin);
+  const shows = (region) => until(`a car with region ${region}`, () => live.cars.get("painted")?.baked?.regions.includes(region));
+  await shows("body");
+  const painted = live.cars.get("painted");
+  const paint = async (name) => {
+    const bytes = await commander.paint(hashes.at(-1), JSON.stringify({ regions: [{ name, sphere: { center: { x: 0, y: 0, z: 0.5 }, radius: 1 } }] }));
+    hashes.push(digits(hashOf(bytes)));
+  };
+  for (let k = 0; k < given + 2; ++k) {
+    await paint(`part${k}`);
+    await commander.replace("painted", hashes.at(-1));
+    await shows(`part${k}`);
+  }
+  assert.equal(live.cars.get("painted"), painted, "the car that was painted anew passes for another");
+  const kept = [];
+  for (const hash of hashes) if ((await fetch(new URL(`asset/${hash}`, url))).ok) kept.push(hash);
+  assert.deepEqual(kept, hashes.slice(-1 - spare), "the gateway keeps others than the car's and the newest of those before it");
+  assert.deepEqual([...live.assets.keys()], hashes.slice(-1), "the page keeps what no car is of");
+  const late = new Live(url);
+  await until("a late page", () => late.cars.get("painted")?.baked?.regions.includes(`part${given + 1}`));
+  late.close();
+
+  // The server has forgotten the first ones too, but not those that live; the gateway asks again for what it has forgotten.
+  await assert.rejects(commander.replace("painted", hashes[1]), /not one of this server's/);
+  await commander.replace("painted", hashes[0]);
+  await until("what it was at first", () => painted.baked?.regions.every((name) => !name.startsWith("part")));
+  for (const hash of hashes.slice(-given)) await commander.spawn(`of-${hash}`, hash, "page", origin);
+  await assert.rejects(paint("part"), /no room for one more baked car.*despawn another first/);
+  live.close();
+  await end(gateway);
+  await end(server);
 }
 
 async function download(opened, button, file) {
@@ -486,7 +532,7 @@ async function controlIn(path, folder) {
 
   const gateway = view(...options, "--control", "--listen", "127.0.0.1:0"), url = await address(gateway), live = new Live(url);
   await until("the scene's server", () => live.server);
-  const commander = await Control.find(url), origin = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+  const commander = await Control.find(url);
   await commander.spawn("painted", asset, "page", origin);
   await until("the asset at the gateway", () => live.cars.get("painted")?.baked);
   await checkRefusals(url, asset);
@@ -603,9 +649,10 @@ let code = 1;
 try {
   const path = chromium();
   if (mode === "client") await client();
+  else if (mode === "repaint") await repaint();
   else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
   else await (mode === "compare" ? comparison(path) : mode === "control" ? control(path) : page(path, mode === "keep"));
-  code = mode === "client" || path ? 0 : 77;
+  code = mode === "client" || mode === "repaint" || path ? 0 : 77;
 } catch (error) {
   console.error(error);
 } finally {

@@ -229,6 +229,7 @@ TEST(Decode, RefusesASpawnFieldByFieldAndNamesIt) {
 TEST(Decode, RefusesOrdersThatAreNoneAndNumbersOutOfRange) {
   expect_refused<Order>(host::repair(1.01f), Reason::out_of_range, "repair.amount");
   expect_refused<Order>(host::repair(nan), Reason::non_finite, "repair.amount");
+  expect_refused<Order>(host::replace("0123456789ABCDEF"), Reason::bad_id, "replace.asset is \"0123456789ABCDEF\"; 16 digits");
   expect_refused<Order>(host::parameters([](auto& p) { p.add_yield(nan); }), Reason::non_finite, "parameters.yield");
   expect_refused<Order>(host::parameters([](auto& p) { p.add_region(16); }), Reason::out_of_range, "parameters.region is 16");
   expect_refused<Order>(host::parameters([](auto& p) { p.add_region(-2); }), Reason::out_of_range, "parameters.region is -2");

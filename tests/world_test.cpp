@@ -717,6 +717,47 @@ TEST(Given, ACarThatCameByAMessageIsSpawnedAndEveryReplicaHasIt) {
   EXPECT_EQ(late.ask("b", host::spawn(painted->hash, "game")), "");
 }
 
+TEST(State, AReplacedCarIsUndamagedAndKeepsTheRest) {
+  const auto painted = box_car({2, 2, 2});
+  Scene scene;
+  ASSERT_EQ(scene.ask("a", host::spawn(box()->hash, "game", pose_at(0), 900)), "");
+  ASSERT_EQ(scene.ask("a", host::parameters([](auto& p) { p.add_yield(0.02f); })), "");
+  scene.step({{"host/game/obstacles", host::obstacles(1, {wall(2.35f)})},
+              {"host/game/poses", host::poses(1, {{"a", pose_at(0), {14, 0, 0}, {0, 0, 0}, 0, 0.5f}})}});
+  for (int k = 0; k < 10; ++k) scene.step();
+  scene.step({{"host/game/obstacles", host::obstacles(2, {})},
+              {"host/game/poses", host::poses(2, {{"a", pose_at(-9, 1), {0, 6, 0}, {0, 0, 1}, 0, 0.5f}})},
+              {"asset", host::asset(*painted), 1}});
+  Instance before = scene.car("a");
+  ASSERT_NE(before.told[0].latest, std::vector<int16_t>(before.told[0].latest.size()));
+  EXPECT_TRUE(contains(scene.ask("a", host::replace(cell()->hash)), "replace: asset " + cell()->hash + " is not one of"));
+  before.motion = scene.car("a").motion;
+  ASSERT_EQ(scene.ask("a", host::replace(painted->hash)), "");
+
+  const Instance& now = scene.car("a");
+  EXPECT_EQ(now.car->hash, painted->hash);
+  EXPECT_EQ(hash(now.body), hash(make_body(painted->model)));
+  EXPECT_EQ(now.host, "game");
+  EXPECT_EQ(now.parameters, before.parameters);
+  EXPECT_EQ(now.importance, 0.5f);
+  EXPECT_EQ(now.mass.mass, 900);
+  EXPECT_EQ(now.mass.inertia, before.mass.inertia);
+  EXPECT_EQ(now.mass.center, before.mass.center);
+  EXPECT_EQ(now.motion.velocity, before.motion.velocity);
+  EXPECT_NEAR(now.motion.pose.position.y(), before.motion.pose.position.y() + 0.1, 1e-9);
+  for (const char* level : {"0", "1"}) {
+    host::Viewer viewer{{}, level};
+    for (const Message& message : scene.outbox) viewer.take(message);
+    EXPECT_EQ(viewer.surface.asset, painted->hash);
+    EXPECT_EQ(viewer.held(), std::vector<int16_t>(3 * painted->skin_node.size()));
+  }
+  Scene late;
+  load_world(save_world(*scene.world), *late.world);
+  late.step();
+  scene.step();
+  EXPECT_EQ(hash(*late.world), hash(*scene.world));
+}
+
 TEST(Given, WhatIsNoCarIsRefusedAndChangesNothing) {
   Scene scene, calm;
   Bytes damaged = host::asset(*box());

@@ -260,10 +260,12 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& ou
     out = SaveOrder{};
   } else if (const auto* load = from->order_as_Load()) {
     out = read(*load, check);
+  } else if (const auto* replace = from->order_as_Replace()) {
+    out = ReplaceOrder{check.asset({"replace"}, replace->asset())};
   } else {
     check.refuse(Reason::malformed, {"command"}, "order",
                  "is of kind " + std::to_string(int(from->order_type())) +
-                     "; kinds are Spawn, Despawn, Repair, Parameters, Save, Load (1 to 6)");
+                     "; kinds are Spawn, Despawn, Repair, Parameters, Save, Load, Replace (1 to 7)");
   }
   return check.refusal;
 }

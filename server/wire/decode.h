@@ -69,7 +69,10 @@ struct LoadOrder {
   std::string asset;
   Body state;  // all but step, reach and impulses; sizes are not checked yet
 };
-using Order = std::variant<SpawnOrder, DespawnOrder, RepairOrder, ParametersOrder, SaveOrder, LoadOrder>;
+struct ReplaceOrder {
+  std::string asset;
+};
+using Order = std::variant<SpawnOrder, DespawnOrder, RepairOrder, ParametersOrder, SaveOrder, LoadOrder, ReplaceOrder>;
 
 struct Budget {
   uint64_t work = 0;  // tet visits a tick; 0: no limit

@@ -168,6 +168,7 @@ b1, b2 = held_after("delta_b1", b), held_after("delta_b2", b)
 some = random.Random(1)
 wild = Held(5, [some.randint(-32768, 32767) for _ in range(3 * 40)], 0.0005)
 quiet = Held(7, wild.quanta[:21] + 99 * [9], 0.0005)
+another = Held(b.tick, wild.quanta, 0.0005)
 wilder = Held(6, [some.choice((-32768, 32767)) for _ in range(3 * 40)], 0.0005)
 
 messages = {f"{name}.{'keyframe' if name.startswith('key') else 'delta'}": told[name]
@@ -259,6 +260,9 @@ cases = {
         ("key_b.keyframe", "old", b), ("delta_b1.delta", "applied", b1)],
     "what is damaged is not shown": keyed + [
         ("delta_a1_damaged.delta", "part", a), ("delta_a1.delta", "applied", a1)],
+    "a keyframe of another baked car takes the place of all that was": keyed + [
+        (made("key_of_another_car.keyframe", keyframe(another, asset="0123456789abcdef")), "applied", another),
+        ("delta_late_against_a.delta", "old", another)],
     "numbers of 16 bits wrap": [
         ("key5_wild.keyframe", "applied", wild),
         (made("delta6_wild.delta", delta(wilder, wild)), "applied", wilder)],

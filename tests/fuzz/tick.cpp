@@ -99,6 +99,7 @@ std::vector<std::vector<uint8_t>> tick_seeds() {
   body.hardening[1] = 0.2f;
   add(command, 0, host::load(encode_state(fine_asset, body)), states);
   add(command, 0, host::load(encode_state(coarse_asset, make_body(coarse_car()->model))), states);
+  add(command, 0, host::replace(coarse_asset), states);
   const std::string key = "car/c2";
   std::vector<uint8_t> free(key.begin(), key.end());
   free.insert(free.end(), input_of(spawn).begin(), input_of(spawn).end());

@@ -60,6 +60,7 @@ interface Shown {
 
 interface Pair {
   shown: [Shown, Shown];
+  meshes: [CarMesh, CarMesh];
   versions: [number, number];
   /** m, a vertex */
   apart: Float32Array;
@@ -89,10 +90,10 @@ export class Comparison {
     for (const shown of couples(left, right, this.names, this.sentences)) {
       const [a, b] = shown.map(({ mesh }) => mesh);
       if (!a || !b) continue; // its asset is on its way
-      const known = before.find((pair) => pair.shown.every((one, i) => one === shown[i]));
+      const known = before.find(({ meshes }) => meshes[0] === a && meshes[1] === b);
       const trouble = known ? "" : differs(a.baked, b.baked);
       if (trouble) this.sentences.push(`${shown[0].car.id}: ${trouble}`);
-      else this.pairs.push(known ?? makePair(shown, a));
+      else this.pairs.push(known ?? { shown, meshes: [a, b], versions: [-1, -1], apart: new Float32Array(a.moved.length), largest: 0, rms: 0 });
     }
     const changed = this.pairs.filter(measure);
     const needed = Math.max(0, ...this.pairs.map(({ largest }) => largest));
@@ -101,7 +102,7 @@ export class Comparison {
     this.most = most;
     this.#colours = colours;
     if (colours)
-      for (const { shown, apart } of again ? this.pairs : changed) for (const { mesh } of shown) mesh!.paint(colours, most, apart);
+      for (const { meshes, apart } of again ? this.pairs : changed) for (const mesh of meshes) mesh.paint(colours, most, apart);
   }
 
   /** What is found, for a reader. */
@@ -136,15 +137,11 @@ function differs(a: BakedCar, b: BakedCar): string {
   return a === b || a.vertex.every((x, i) => x === b.vertex[i]) ? "" : `both surfaces have ${count} vertices, but not at the same places when undamaged`;
 }
 
-function makePair(shown: [Shown, Shown], { moved }: CarMesh): Pair {
-  return { shown, versions: [-1, -1], apart: new Float32Array(moved.length), largest: 0, rms: 0 };
-}
-
 /** False: neither surface has changed. */
 function measure(pair: Pair): boolean {
-  const { shown, versions, apart } = pair;
-  if (shown.every(({ mesh }, i) => mesh!.updates === versions[i])) return false;
-  const [a, b] = shown.map(({ mesh }) => mesh!.skinned);
+  const { meshes, versions, apart } = pair;
+  if (meshes.every(({ updates }, i) => updates === versions[i])) return false;
+  const [a, b] = meshes.map(({ skinned }) => skinned);
   let most = 0, sum = 0;
   for (let v = 0; v < apart.length; ++v) {
     const x = a[3 * v] - b[3 * v], y = a[3 * v + 1] - b[3 * v + 1], z = a[3 * v + 2] - b[3 * v + 2];
@@ -153,7 +150,7 @@ function measure(pair: Pair): boolean {
     most = Math.max(most, squared);
     apart[v] = Math.sqrt(squared);
   }
-  pair.versions = [shown[0].mesh!.updates, shown[1].mesh!.updates];
+  pair.versions = [meshes[0].updates, meshes[1].updates];
   pair.largest = Math.sqrt(most);
   pair.rms = Math.sqrt(sum / apart.length);
   return true;

@@ -7,6 +7,7 @@ import { Order } from "./crumple/schema/order.js";
 import { Parameters } from "./crumple/schema/parameters.js";
 import { Pose as PoseStruct } from "./crumple/schema/pose.js";
 import { Repair } from "./crumple/schema/repair.js";
+import { Replace } from "./crumple/schema/replace.js";
 import { Spawn } from "./crumple/schema/spawn.js";
 import type { Pose } from "./decode.js";
 
@@ -67,6 +68,11 @@ export class Control {
       Spawn.addPose(builder, PoseStruct.createPose(builder, p[0], p[1], p[2], q[0], q[1], q[2], q[3]));
       return Spawn.endSpawn(builder);
     });
+  }
+
+  /** The same car, undamaged, of another asset; the rest of it stays. */
+  replace(car: string, asset: string): Promise<void> {
+    return this.#command(car, Order.Replace, (builder) => Replace.createReplace(builder, builder.createString(asset)));
   }
 
   /** The car painted anew; the scene's server has it. regions: JSON of schema/regions.fbs. */

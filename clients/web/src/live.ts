@@ -11,7 +11,7 @@ import { Scene, type Entry } from "./scene.js";
 /** ms, after a lost connection; doubled up to the last. */
 const firstRetry = 250, lastRetry = 4000;
 /** ms until an asset that was not there yet is asked for again. */
-const assetRetry = 300;
+const assetRetry = 100;
 
 export type Link = "connecting" | "live" | "lost";
 
@@ -24,7 +24,7 @@ export class Live extends Scene {
   #url: URL;
   #socket: WebSocket | null = null;
   #retry = firstRetry;
-  #asked = new Set<string>();
+  #asked = new Set<string>(); // assets on their way
   #closed = false;
 
   /** url: of the page that `crumple view` serves, such as http://127.0.0.1:8080/ */
@@ -81,18 +81,22 @@ export class Live extends Scene {
   }
 
   async #fetch(asset: string): Promise<void> {
-    while (!this.#closed) {
+    const wanted = () => new Set([...this.cars.values()].map(({ surface }) => surface.asset));
+    while (!this.#closed && wanted().has(asset)) {
       try {
         const answer = await fetch(new URL(`asset/${asset}`, this.#url));
         if (answer.status === 404) throw new Error("the gateway does not have it yet");
         if (!answer.ok) throw new Error(`the gateway answers ${answer.status}`);
-        this.give(asset, readCar(new Uint8Array(await answer.arrayBuffer()), asset));
-        this.trouble.delete(asset);
-        return;
+        const baked = readCar(new Uint8Array(await answer.arrayBuffer()), asset), still = wanted();
+        for (const held of this.assets.keys()) if (!still.has(held)) this.assets.delete(held);
+        this.give(asset, baked);
+        break;
       } catch (error) {
         this.trouble.set(asset, `asset ${asset}: ${error instanceof Error ? error.message : error}`);
         await new Promise((wait) => setTimeout(wait, assetRetry));
       }
     }
+    this.trouble.delete(asset);
+    this.#asked.delete(asset);
   }
 }

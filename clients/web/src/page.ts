@@ -128,16 +128,23 @@ class ShownCar {
 
   remove(): void {
     this.stage.group.remove(this.group, this.arrow);
-    this.mesh?.geometry.dispose();
-    this.mesh?.material.dispose();
+    this.#undress();
     release(this.arrow);
     this.label.remove();
     this.row.remove();
   }
 
+  #undress(): void {
+    this.mesh?.removeFromParent();
+    this.mesh?.geometry.dispose();
+    this.mesh?.material.dispose();
+  }
+
   update(now: number): void {
     const { car } = this;
-    if (!this.mesh && car.baked) {
+    if (car.baked && this.mesh?.baked !== car.baked) {
+      this.#undress();
+      this.#version = this.#painted = -1;
       const material = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
       this.mesh = new CarMesh(car.baked, material);
       this.#extent.setFromBufferAttribute(new THREE.BufferAttribute(car.baked.vertex, 3));

@@ -4,7 +4,7 @@ import * as THREE from "three";
 import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js";
 import { readCar, type BakedCar } from "./baked.js";
 import type { Control } from "./control.js";
-import { digits, hashOf, type Pose, type Vec3 } from "./decode.js";
+import { digits, hashOf, type Vec3 } from "./decode.js";
 import { CarMesh } from "./three.js";
 import { download, pick, sentence, type Shown, type Stage } from "./tools.js";
 
@@ -30,21 +30,24 @@ const radii = { low: 0.05, high: 0.8, first: 0.2 }; // m
 const eraser = "body";
 /** Triangles of the mask: small ones, for the sheets of a car have few vertices. */
 const tiles = new TessellateModifier(0.06, 10); // m, halvings
+/** Of the cells in which its corners are kept, so that a dab looks at those near it: their width, m. */
+const cellWidth = 0.2;
 
 export class Paint {
   readonly root = document.createElement("details");
   entries: readonly Entry[] = [];
   #past: (readonly Entry[])[] = [];
   #future: (readonly Entry[])[] = [];
+  #tinted: readonly Entry[] = []; // what the mask shows
   #on = false;
   #stroke: Entry[] | null = null; // being painted
   #pointers = new Set<number>();
   #mesh: CarMesh | null = null; // at rest, for the rays
   #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what is seen of it
-  #of: Shown | null = null;
+  #cells: { center: THREE.Vector3; corners: number[] }[] = [];
+  #hidden: CarMesh | null = null; // in whose place they are shown
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
   #ray = new THREE.Raycaster();
-  #stands: { id: string; life: string; pose: Pose } | null = null; // where the car that takes the place of this life was spawned
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
   constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -99,21 +102,22 @@ export class Paint {
   }
 
   update(): void {
-    const { car } = this.chosen() ?? {};
-    // Viewers are told poses by hosts only.
-    if (car && car.id === this.#stands?.id && car.life !== this.#stands.life) car.pose ??= this.#stands.pose;
-    if (this.#on && !car) return this.toggle(false);
-    const shown = this.#on ? this.chosen() : null, wanted = shown?.mesh ? shown : null;
-    if (wanted === this.#of) return;
+    const shown = this.chosen();
+    if (this.#on && !shown) return this.toggle(false);
+    const wanted = this.#on ? shown!.mesh : null;
+    if (wanted === this.#hidden) return;
     this.#drop();
-    this.#of = wanted;
+    this.#hidden = wanted;
     if (!wanted) return;
-    this.#mesh = new CarMesh(wanted.mesh!.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
+    this.#mesh = new CarMesh(wanted.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
     this.#mesh.visible = false;
     this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), this.#mesh.material);
     this.#mask.castShadow = true;
-    wanted.group.add(this.#mesh, this.#mask, this.#tip);
-    wanted.mesh!.visible = false;
+    const { position, color } = this.#mask.geometry.attributes;
+    this.#cells = inCells(position);
+    for (let i = 0; i < color.count; ++i) color.setXYZ(i, bare.r, bare.g, bare.b);
+    wanted.parent!.add(this.#mesh, this.#mask, this.#tip);
+    wanted.visible = false;
     this.#changed();
   }
 
@@ -124,7 +128,7 @@ export class Paint {
 
   /** Where a point of the car, m in its frame, is on the page; for tests. */
   screen(point: Vec3): { x: number; y: number } {
-    const at = new THREE.Vector3(...point).applyMatrix4(this.#of!.group.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
+    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
     return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
   }
 
@@ -133,12 +137,13 @@ export class Paint {
   }
 
   #drop(): void {
-    if (this.#of?.mesh) this.#of.mesh.visible = true;
+    if (this.#hidden) this.#hidden.visible = true;
     for (const object of [this.#mesh, this.#mask, this.#tip]) object?.removeFromParent();
     this.#mesh?.geometry.dispose();
     this.#mask?.geometry.dispose();
     this.#mesh?.material.dispose();
     this.#mesh = this.#mask = null;
+    this.#tinted = this.#cells = [];
   }
 
   // ---- the pointer ----
@@ -273,8 +278,7 @@ export class Paint {
       const colour = palette[legend.size % palette.length];
       legend.set(key(entry), { colour, label: entry.name + (entry.anchored ? ", anchored" : "") });
     }
-    const newest = [...entries].reverse().map((entry) => ({ holds: inside(entry), colour: legend.get(key(entry))?.colour ?? bare }));
-    if (this.#mask) this.#tint((point) => newest.find(({ holds }) => holds(point))?.colour ?? bare);
+    if (this.#mask) this.#tint(this.#mask.geometry.attributes, entries, (entry) => legend.get(key(entry))?.colour ?? bare);
     const rows = [...legend.values()].map(({ colour, label }) => {
       const row = document.createElement("li"), swatch = document.createElement("i");
       swatch.style.background = `#${colour.getHexString()}`;
@@ -288,13 +292,26 @@ export class Paint {
     this.stage.wake();
   }
 
-  #tint(colour: (point: THREE.Vector3) => THREE.Color): void {
-    const { position, color } = this.#mask!.geometry.attributes, point = new THREE.Vector3();
-    for (let i = 0; i < position.count; ++i) {
-      const { r, g, b } = colour(point.fromBufferAttribute(position, i));
-      color.setXYZ(i, r, g, b);
+  // Where entries went, by those before them; then those that came, over it.
+  #tint({ position, color }: THREE.NormalBufferAttributes, entries: readonly Entry[], colourOf: (entry: Entry) => THREE.Color): void {
+    const before = this.#tinted, point = new THREE.Vector3();
+    let same = 0;
+    while (same < before.length && before[same] === entries[same]) ++same;
+    const held = (entry: Entry) => {
+      const holds = inside(entry), center = (entry.sphere ?? entry.box)!.center as THREE.Vector3;
+      const reach = (entry.sphere?.radius ?? point.copy(entry.box!.half as THREE.Vector3).length()) + (Math.sqrt(3) / 2) * cellWidth;
+      const near = this.#cells.filter((cell) => cell.center.distanceTo(center) <= reach).flatMap(({ corners }) => corners);
+      return near.filter((i) => holds(point.fromBufferAttribute(position, i)));
+    };
+    const tint = (i: number, { r, g, b }: THREE.Color) => color.setXYZ(i, r, g, b);
+    const stand = entries.slice(0, same).reverse().map((entry) => ({ holds: inside(entry), colour: colourOf(entry) }));
+    for (const i of new Set(before.slice(same).flatMap(held))) {
+      point.fromBufferAttribute(position, i);
+      tint(i, stand.find(({ holds }) => holds(point))?.colour ?? bare);
     }
+    for (const entry of entries.slice(same)) for (const i of held(entry)) tint(i, colourOf(entry));
     color.needsUpdate = true;
+    this.#tinted = entries;
   }
 
   // ---- the car ----
@@ -302,7 +319,7 @@ export class Paint {
   async #bake(): Promise<void> {
     const shown = this.chosen();
     if (!shown?.car.baked) return this.tell("there is no car to paint", true);
-    const { id, life, surface } = shown.car;
+    const { id, surface } = shown.car;
     const button = this.#find<HTMLButtonElement>("#paint-bake"), begun = performance.now();
     button.disabled = true;
     this.tell("re-baking …");
@@ -311,17 +328,7 @@ export class Paint {
       const asset = digits(hashOf(bytes)), baked: BakedCar = readCar(bytes, asset), took = Math.round(performance.now() - begun);
       this.#baked = { bytes, name: `${baked.name}-painted.car` };
       this.#find<HTMLButtonElement>("#paint-car").disabled = false;
-      if (asset !== surface.asset) {
-        const { host } = shown.car, pose = shown.car.pose ?? { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
-        await this.control.despawn(id);
-        try {
-          await this.control.spawn(id, asset, host || "page", pose);
-        } catch (error) {
-          await this.control.spawn(id, surface.asset, host || "page", pose); // rather the old one than none
-          throw error;
-        }
-        this.#stands = { id, life, pose };
-      }
+      if (asset !== surface.asset) await this.control.replace(id, asset);
       this.toggle(false);
       this.tell(`${id} is now ${asset}: ${baked.regions.join(", ")}; baked in ${took} ms`);
     } catch (error) {
@@ -329,6 +336,17 @@ export class Paint {
     }
     button.disabled = false;
   }
+}
+
+function inCells(position: THREE.BufferAttribute | THREE.InterleavedBufferAttribute): { center: THREE.Vector3; corners: number[] }[] {
+  const cells = new Map<string, { center: THREE.Vector3; corners: number[] }>(), at = new THREE.Vector3();
+  for (let i = 0; i < position.count; ++i) {
+    at.fromBufferAttribute(position, i).divideScalar(cellWidth).floor();
+    const key = `${at.x} ${at.y} ${at.z}`, cell = cells.get(key);
+    if (cell) cell.corners.push(i);
+    else cells.set(key, { center: at.clone().addScalar(0.5).multiplyScalar(cellWidth), corners: [i] });
+  }
+  return [...cells.values()];
 }
 
 /** Whether a point, m in the car's frame, is in the entry. */

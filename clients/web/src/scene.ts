@@ -15,13 +15,11 @@ const contactHolds = 250;
 
 export class LiveCar {
   surface = new Surface();
-  /** null: the asset has not arrived. */
+  /** null: the asset has not arrived. Another one when the car was painted anew. */
   baked: BakedCar | null = null;
   /** null: neither its host nor a reaction has told it yet. */
   pose: Pose | null = null;
   velocity: Vec3 = [0, 0, 0];
-  /** Whose poses move it; "": none has come. */
-  host = "";
   /** The last one with contact or impulse, and when it came. */
   hit: Reaction | null = null;
   hitAt = 0;
@@ -67,8 +65,7 @@ export class LiveCar {
   }
 
   /** @internal */
-  takePose(host: string, pose: Pose, velocity: Vec3, seen: bigint, at: number): void {
-    this.host = host;
+  takePose(pose: Pose, velocity: Vec3, seen: bigint, at: number): void {
     this.heardAt = Math.max(this.heardAt, at);
     const stands = this.hit && (seen === 0n ? at - this.hitAt < contactHolds : seen < this.hit.tick);
     if (stands) return;
@@ -100,8 +97,8 @@ export class Scene {
   healthAt = 0;
   /** Counts up with every batch of entries. */
   version = 0;
-
-  #assets = new Map<string, BakedCar>();
+  /** Baked cars, by hash. */
+  assets = new Map<string, BakedCar>();
 
   /** The scene's clock, ms. */
   now(): number {
@@ -117,7 +114,7 @@ export class Scene {
 
   /** The baked car that `want` named. */
   give(asset: string, baked: BakedCar): void {
-    this.#assets.set(asset, baked);
+    this.assets.set(asset, baked);
     ++this.version;
     for (const car of this.cars.values()) if (car.surface.asset === asset) car.baked = baked;
   }
@@ -149,7 +146,7 @@ export class Scene {
       if (list) this.obstacles.set(id, { list, at });
     } else if (kind === "host" && what === "poses") {
       for (const { car, pose, velocity, seen } of readPoses(payload) ?? [])
-        this.cars.get(car)?.takePose(id, pose, velocity, seen, at);
+        this.cars.get(car)?.takePose(pose, velocity, seen, at);
     } else if (kind === "car") {
       const car = this.cars.get(id);
       if (!car) return;
@@ -160,14 +157,14 @@ export class Scene {
         car.peakAt = at;
       } else {
         car.takeSurface(what === "key", payload, at);
-        if (!car.baked && car.surface.asset) this.#dress(car);
+        if (car.surface.asset) this.#dress(car);
       }
     }
   }
 
   #dress(car: LiveCar): void {
-    const { asset } = car.surface, held = this.#assets.get(asset);
-    if (held) car.baked = held;
-    else this.want(asset);
+    const { asset } = car.surface;
+    car.baked = this.assets.get(asset) ?? null;
+    if (!car.baked) this.want(asset);
   }
 }

@@ -176,6 +176,7 @@ impl Web {
     }
 
     pub fn forget(&self, prefix: &str) {
+        self.shared.pages.lock().unwrap().retain(|path, _| !path.starts_with(prefix));
         let mut state = self.shared.state.lock().unwrap();
         state.numbers.retain(|key, _| !key.starts_with(prefix));
         state.slots.retain(|_, slot| !slot.key.starts_with(prefix));
