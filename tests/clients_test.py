@@ -31,7 +31,7 @@ def output(*command, **options):
 
 
 def first_code(readme, language):
-    return re.match(rf"# .*\n\n```{language}\n(.*?)```", (ROOT / readme).read_text(), re.DOTALL).group(1)
+    return re.match(rf"# [^\n]*\n\n```{language}\n(.*?)```", (ROOT / readme).read_text(), re.DOTALL).group(1)
 
 
 def commands(readme):

@@ -4,11 +4,12 @@
 //   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
 //   node tests/web_test.mjs repaint PROGRAM CAR WEB     a car that is painted anew again and again is always shown, and what it was is forgotten
 //   node tests/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
+//   node tests/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
 //   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
 // WEB: the folder build/web.
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
-import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { execFileSync, spawn } from "node:child_process";
+import { cpSync, existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
 import { request } from "node:http";
 import { createRequire } from "node:module";
 import { connect } from "node:net";
@@ -18,7 +19,7 @@ import { fileURLToPath, pathToFileURL } from "node:url";
 
 const patience = 90_000; // ms, for a machine under load with sanitizers on
 const here = fileURLToPath(new URL(".", import.meta.url));
-const [mode, program, car, web] = process.argv.slice(2);
+const mode = process.argv[2], [program, car, web] = process.argv.slice(3).map((path) => resolve(path));
 const { Control, digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
 
 async function until(what, condition) {
@@ -625,6 +626,55 @@ async function controlIn(path, folder) {
   console.log(`painted ${hash}; dents of ${(1000 * soft).toFixed(0)} mm, and ${(1000 * stiff).toFixed(0)} mm when stiff`);
 }
 
+// ---- the package's manual ----
+
+// Its page, by its commands as they stand, but for npm's part, which needs the network: those packages are linked from WEB.
+async function manual(path) {
+  const root = resolve(here, ".."), folder = resolve(root, "build/mine"), packages = `${folder}/node_modules`;
+  const text = readFileSync(resolve(root, "clients/web/README.md"), "utf8");
+  const [, example, install, commands, shows] =
+    /```ts\n(.*?)```.*```sh\nserver\/setup crumple web\n.*(^npm install .*?\n)(.*)^\.\.\/crumple (view \S+ --page \S+).*```/ms.exec(text);
+  rmSync(folder, { recursive: true, force: true });
+  mkdirSync(`${packages}/crumple-web`, { recursive: true });
+  for (const name of readdirSync(`${web}/node_modules`)) symlinkSync(`${web}/node_modules/${name}`, `${packages}/${name}`);
+  for (const name of ["package.json", "dist"]) cpSync(`${web}/${name}`, `${packages}/crumple-web/${name}`, { recursive: true });
+  for (const name of install.match(/(?<= )[a-z@][\w@/]+/g).slice(1)) assert.ok(existsSync(`${packages}/${name}`), `${name} is not there`);
+  writeFileSync(`${folder}/page.ts`, example);
+  process.chdir(folder);
+  execFileSync("bash", ["-ec", `PATH=$PWD/../venv/bin:$PATH\n${commands}`], { stdio: "inherit" });
+  const gateway = start(...shows.split(" "), "--listen", "127.0.0.1:0");
+  const { browser, opened, console_ } = await openPage(path, await address(gateway), { viewport: { width: 360, height: 240 } });
+  await opened.waitForFunction(() => /mononofu/.test(document.querySelector("p")?.textContent));
+  const late = new Promise((_, failed) => setTimeout(failed, patience, new Error("no dent came")));
+  const [whole, dented] = await Promise.race([opened.evaluate(sizes), late]);
+  console.log(`the car is ${(100 * whole).toFixed(1)} % of the picture, and ${(100 * dented).toFixed(1)} % when dented`);
+  assert.ok(whole > 0.03, "there is hardly a car");
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+}
+
+// In the page, which draws before this in each frame: the largest share of the picture that is red, as that car is, and a smaller one.
+// The camera goes with the car, so that there is less of it only when it is crushed.
+function sizes() {
+  const canvas = document.querySelector("canvas"), { width, height } = canvas;
+  const pen = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  let whole = 0;
+  return new Promise((done) => {
+    const look = () => {
+      pen.drawImage(canvas, 0, 0);
+      const { data } = pen.getImageData(0, 0, width, height);
+      let count = 0;
+      for (let i = 0; i < data.length; i += 4) count += data[i] - data[i + 2] > 60;
+      const seen = count / (width * height);
+      whole = Math.max(whole, seen);
+      if (seen > 0.5 * whole && seen < 0.97 * whole) done([whole, seen]);
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  });
+}
+
 // In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
 async function compare(pictures) {
   const [a, b] = await Promise.all(pictures.map(async (source) => {
@@ -651,7 +701,7 @@ try {
   if (mode === "client") await client();
   else if (mode === "repaint") await repaint();
   else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
-  else await (mode === "compare" ? comparison(path) : mode === "control" ? control(path) : page(path, mode === "keep"));
+  else await ({ compare: comparison, control, manual }[mode] ?? page)(path, mode === "keep");
   code = mode === "client" || mode === "repaint" || path ? 0 : 77;
 } catch (error) {
   console.error(error);
