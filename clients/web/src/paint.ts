@@ -30,17 +30,21 @@ const radii = { low: 0.05, high: 0.8, first: 0.2 }; // m
 const eraser = "body";
 /** Triangles of the mask: small ones, for the sheets of a car have few vertices. */
 const tiles = new TessellateModifier(0.06, 10); // m, halvings
+/** Of the cells in which its corners are kept, so that a dab looks at those near it: their width, m. */
+const cellWidth = 0.2;
 
 export class Paint {
   readonly root = document.createElement("details");
   entries: readonly Entry[] = [];
   #past: (readonly Entry[])[] = [];
   #future: (readonly Entry[])[] = [];
+  #tinted: readonly Entry[] = []; // what the mask shows
   #on = false;
   #stroke: Entry[] | null = null; // being painted
   #pointers = new Set<number>();
   #mesh: CarMesh | null = null; // at rest, for the rays
   #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what is seen of it
+  #cells: { center: THREE.Vector3; corners: number[] }[] = [];
   #hidden: CarMesh | null = null; // in whose place they are shown
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
   #ray = new THREE.Raycaster();
@@ -109,6 +113,9 @@ export class Paint {
     this.#mesh.visible = false;
     this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), this.#mesh.material);
     this.#mask.castShadow = true;
+    const { position, color } = this.#mask.geometry.attributes;
+    this.#cells = inCells(position);
+    for (let i = 0; i < color.count; ++i) color.setXYZ(i, bare.r, bare.g, bare.b);
     wanted.parent!.add(this.#mesh, this.#mask, this.#tip);
     wanted.visible = false;
     this.#changed();
@@ -136,6 +143,7 @@ export class Paint {
     this.#mask?.geometry.dispose();
     this.#mesh?.material.dispose();
     this.#mesh = this.#mask = null;
+    this.#tinted = this.#cells = [];
   }
 
   // ---- the pointer ----
@@ -270,8 +278,7 @@ export class Paint {
       const colour = palette[legend.size % palette.length];
       legend.set(key(entry), { colour, label: entry.name + (entry.anchored ? ", anchored" : "") });
     }
-    const newest = [...entries].reverse().map((entry) => ({ holds: inside(entry), colour: legend.get(key(entry))?.colour ?? bare }));
-    if (this.#mask) this.#tint((point) => newest.find(({ holds }) => holds(point))?.colour ?? bare);
+    if (this.#mask) this.#tint(this.#mask.geometry.attributes, entries, (entry) => legend.get(key(entry))?.colour ?? bare);
     const rows = [...legend.values()].map(({ colour, label }) => {
       const row = document.createElement("li"), swatch = document.createElement("i");
       swatch.style.background = `#${colour.getHexString()}`;
@@ -285,13 +292,26 @@ export class Paint {
     this.stage.wake();
   }
 
-  #tint(colour: (point: THREE.Vector3) => THREE.Color): void {
-    const { position, color } = this.#mask!.geometry.attributes, point = new THREE.Vector3();
-    for (let i = 0; i < position.count; ++i) {
-      const { r, g, b } = colour(point.fromBufferAttribute(position, i));
-      color.setXYZ(i, r, g, b);
+  // Where entries went, by those before them; then those that came, over it.
+  #tint({ position, color }: THREE.NormalBufferAttributes, entries: readonly Entry[], colourOf: (entry: Entry) => THREE.Color): void {
+    const before = this.#tinted, point = new THREE.Vector3();
+    let same = 0;
+    while (same < before.length && before[same] === entries[same]) ++same;
+    const held = (entry: Entry) => {
+      const holds = inside(entry), center = (entry.sphere ?? entry.box)!.center as THREE.Vector3;
+      const reach = (entry.sphere?.radius ?? point.copy(entry.box!.half as THREE.Vector3).length()) + (Math.sqrt(3) / 2) * cellWidth;
+      const near = this.#cells.filter((cell) => cell.center.distanceTo(center) <= reach).flatMap(({ corners }) => corners);
+      return near.filter((i) => holds(point.fromBufferAttribute(position, i)));
+    };
+    const tint = (i: number, { r, g, b }: THREE.Color) => color.setXYZ(i, r, g, b);
+    const stand = entries.slice(0, same).reverse().map((entry) => ({ holds: inside(entry), colour: colourOf(entry) }));
+    for (const i of new Set(before.slice(same).flatMap(held))) {
+      point.fromBufferAttribute(position, i);
+      tint(i, stand.find(({ holds }) => holds(point))?.colour ?? bare);
     }
+    for (const entry of entries.slice(same)) for (const i of held(entry)) tint(i, colourOf(entry));
     color.needsUpdate = true;
+    this.#tinted = entries;
   }
 
   // ---- the car ----
@@ -316,6 +336,17 @@ export class Paint {
     }
     button.disabled = false;
   }
+}
+
+function inCells(position: THREE.BufferAttribute | THREE.InterleavedBufferAttribute): { center: THREE.Vector3; corners: number[] }[] {
+  const cells = new Map<string, { center: THREE.Vector3; corners: number[] }>(), at = new THREE.Vector3();
+  for (let i = 0; i < position.count; ++i) {
+    at.fromBufferAttribute(position, i).divideScalar(cellWidth).floor();
+    const key = `${at.x} ${at.y} ${at.z}`, cell = cells.get(key);
+    if (cell) cell.corners.push(i);
+    else cells.set(key, { center: at.clone().addScalar(0.5).multiplyScalar(cellWidth), corners: [i] });
+  }
+  return [...cells.values()];
 }
 
 /** Whether a point, m in the car's frame, is in the entry. */
