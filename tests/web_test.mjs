@@ -2,7 +2,7 @@
 //   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
 //   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
 //   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
-//   node tests/web_test.mjs repaint PROGRAM CAR WEB     a car that is painted anew again and again is always shown, and what it was is forgotten
+//   node tests/web_test.mjs repaint PROGRAM CAR WEB     a car painted anew again and again is shown, what it was is forgotten
 //   node tests/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
 //   node tests/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
 //   node tests/web_test.mjs keep PROGRAM CAR WEB        writes tests/web_page.png anew: look at it
@@ -474,8 +474,8 @@ async function repaint() {
   await shows("body");
   const painted = live.cars.get("painted");
   const paint = async (name) => {
-    const bytes = await commander.paint(hashes.at(-1), JSON.stringify({ regions: [{ name, sphere: { center: { x: 0, y: 0, z: 0.5 }, radius: 1 } }] }));
-    hashes.push(digits(hashOf(bytes)));
+    const regions = [{ name, sphere: { center: { x: 0, y: 0, z: 0.5 }, radius: 1 } }];
+    hashes.push(digits(hashOf(await commander.paint(hashes.at(-1), JSON.stringify({ regions })))));
   };
   for (let k = 0; k < given + 2; ++k) {
     await paint(`part${k}`);
@@ -500,6 +500,17 @@ async function repaint() {
   live.close();
   await end(gateway);
   await end(server);
+}
+
+// In the page: how many corners of the mask have each colour.
+function tints() {
+  const [{ group, mesh }] = window.crumple.shown.values(), counts = {};
+  const { color } = group.children.find((child) => child !== mesh && child.visible && child.geometry?.attributes.color).geometry.attributes;
+  for (let i = 0; i < color.count; ++i) {
+    const key = [color.getX(i), color.getY(i), color.getZ(i)].map((x) => x.toFixed(3)).join(" ");
+    counts[key] = (counts[key] ?? 0) + 1;
+  }
+  return counts;
 }
 
 async function download(opened, button, file) {
@@ -559,18 +570,25 @@ async function controlIn(path, folder) {
   await opened.fill("#paint-name", "hood");
   await stroke([1.6, -0.3, 0.8], [1.6, 0.3, 0.8]);
   assert.equal(await legend(), "hood");
+  const hood = await opened.evaluate(tints);
   await opened.fill("#paint-name", "mistake");
   const { x, y } = await at([0, -0.9, 0.5]);
   await opened.touchscreen.tap(x, y);
   assert.equal(await legend(), "hood\nmistake");
+  assert.deepEqual([hood, await opened.evaluate(tints)].map((all) => Object.keys(all).length), [2, 3]);
   await opened.click("#paint-undo");
   assert.equal(await legend(), "hood");
+  assert.deepEqual(await opened.evaluate(tints), hood, "what was undone is seen");
   await opened.selectOption("#paint-kind", "anchor");
   await opened.fill("#paint-name", "cell");
   await opened.focus("#paint-radius");
   await opened.keyboard.press("End");
   await stroke([-0.2, -0.9, 0.5]);
   assert.equal(await legend(), "hood\ncell, anchored");
+  const all = await opened.evaluate(tints);
+  assert.equal(Object.keys(all).length, 3);
+  await opened.evaluate(() => [false, true].forEach((on) => window.crumple.tools().paint.toggle(on)));
+  assert.deepEqual(await opened.evaluate(tints), all, "the mask is another when it is painted at once");
 
   // Re-baked: the car in the scene is what the program bakes of the saved regions.
   await opened.click("#paint-bake");

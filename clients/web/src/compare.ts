@@ -93,7 +93,7 @@ export class Comparison {
       const known = before.find(({ meshes }) => meshes[0] === a && meshes[1] === b);
       const trouble = known ? "" : differs(a.baked, b.baked);
       if (trouble) this.sentences.push(`${shown[0].car.id}: ${trouble}`);
-      else this.pairs.push(known ?? { shown, meshes: [a, b], versions: [-1, -1], apart: new Float32Array(a.moved.length), largest: 0, rms: 0 });
+      else this.pairs.push(known ?? makePair(shown, [a, b]));
     }
     const changed = this.pairs.filter(measure);
     const needed = Math.max(0, ...this.pairs.map(({ largest }) => largest));
@@ -135,6 +135,10 @@ function differs(a: BakedCar, b: BakedCar): string {
   const [count, other] = [a, b].map(({ vertex }) => vertex.length / 3);
   if (count !== other) return `surfaces of ${count} and ${other} vertices: not the same car, so nothing to compare one to one`;
   return a === b || a.vertex.every((x, i) => x === b.vertex[i]) ? "" : `both surfaces have ${count} vertices, but not at the same places when undamaged`;
+}
+
+function makePair(shown: [Shown, Shown], meshes: [CarMesh, CarMesh]): Pair {
+  return { shown, meshes, versions: [-1, -1], apart: new Float32Array(meshes[0].moved.length), largest: 0, rms: 0 };
 }
 
 /** False: neither surface has changed. */
