@@ -80,6 +80,7 @@ def run(command):
             came, _, _ = select.select([process.stdout], [], [], PATIENCE)
             first = process.stdout.readline() if came else ""
             need(first, f"`{command}` ended before it said anything, or said nothing for {PATIENCE} s")
+            need(not first.startswith("crumple "), f"`{command}` does not begin: {first}")
             tell(first)
         return
     done = subprocess.run(["sh", "-c", line], timeout=PATIENCE, **options)
