@@ -14,7 +14,9 @@ import { startTools, type Tools } from "./tools.js";
 const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 // Lightness falls all the way, so that they are read in any colour vision.
 const heat = ["#f1efe9", "#fac228", "#f57d15", "#d44842", "#9f2a63", "#65156e", "#280b53"].map((colour) => new THREE.Color(colour));
-const heatMost = 0.5; // m
+/** What colours may show of a car, and which value has the last of them. In a comparison the difference stands in place of the dent. */
+type Quantity = "dent" | "strain";
+const heatMost: Record<Quantity, number> = { dent: 0.5, strain: 0.5 }; // m, 1
 const gravity = 9.81;
 const arrowStays = 1500; // ms
 const panelPeriod = 250; // ms: text that changes faster is not read
@@ -110,7 +112,7 @@ class ShownCar {
   readonly row = document.createElement("button");
   mesh: CarMesh | null = null;
   #version = -1;
-  #painted = -1;
+  #painted = ""; // what, and of which version
   #extent = new THREE.Box3();
 
   constructor(readonly car: LiveCar, readonly colour: string, readonly stage: Stage) {
@@ -153,18 +155,18 @@ class ShownCar {
   }
 
   #paint(mesh: CarMesh): void {
-    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOn && (!comparison || comparison.has(this));
+    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOf === "strain" || (heatOf === "dent" && (!comparison || comparison.has(this)));
     if (material.vertexColors !== heated) {
       material.vertexColors = heated;
       material.color.set(heated ? "#ffffff" : this.colour);
       material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
-      this.#painted = -1;
     }
-    if (comparison) this.#painted = -1; // it paints by itself
-    if (!heated || comparison || this.#painted === this.#version) return;
-    mesh.paint(heat, heatMost);
-    this.#painted = this.#version;
+    const wanted = !heated ? "" : comparison && heatOf === "dent" ? "difference" : `${heatOf} ${this.#version}`;
+    if (this.#painted === wanted) return;
+    this.#painted = wanted;
+    if (heatOf === "dent" && !comparison) mesh.paint(heat, heatMost.dent);
+    if (heatOf === "strain") mesh.paint(heat, heatMost.strain, mesh.strain());
   }
 
   // The greatest impulse of the last hit, as the deceleration that it was: 4 cm for each g.
@@ -314,7 +316,7 @@ function seeThrough({ obstacles, cars }: Stage): void {
 // ---- the view ----
 
 let followed = ""; // a car's id; "": what moves
-let heatOn = false;
+let heatOf: Quantity | null = null;
 let framed = false; // the first car was put in the middle
 
 function follow(id: string): void {
@@ -423,8 +425,7 @@ function updatePanel(now: number): void {
   updateServer(age);
   element("comparison").hidden = !comparison;
   if (comparison) element("comparison").replaceChildren(...comparison.lines().map((line) => Object.assign(document.createElement("p"), { textContent: line })));
-  element("heat").textContent = comparison ? "Colour difference" : "Colours by dent";
-  element("most").textContent = `${1000 * (comparison?.most ?? heatMost)} mm`;
+  updateLegend();
   const credits = new Set(stages.flatMap(({ cars }) => [...cars.values()]).map((item) => item.car.baked?.attribution).filter(Boolean));
   element("credits").textContent = [...credits, ...live.trouble.values()].join("; ");
 }
@@ -465,11 +466,18 @@ function press(id: string, action: () => void): void {
     wake();
   };
 }
-press("heat", () => colour(!heatOn));
-function colour(on: boolean): void {
-  heatOn = on;
-  element("heat").setAttribute("aria-pressed", String(heatOn));
-  element("legend").hidden = !heatOn;
+press("heat", () => colour(heatOf === null ? "dent" : heatOf === "dent" ? "strain" : null));
+function colour(by: Quantity | null): void {
+  heatOf = by;
+  updateLegend();
+}
+function updateLegend(): void {
+  const quantity = heatOf === "dent" && comparison ? "difference" : heatOf;
+  element("heat").textContent = quantity ? `Colours: ${quantity}` : "Colours";
+  element("heat").className = quantity ? "on" : "";
+  element("legend").hidden = !quantity;
+  element("quantity").textContent = quantity === "strain" ? "Strain of the surface" : quantity === "dent" ? "Dent" : "Difference";
+  element("most").textContent = quantity === "strain" ? `${100 * heatMost.strain} %` : `${1000 * (comparison?.most ?? heatMost.dent)} mm`;
 }
 press("all", () => follow(""));
 press("fold", () => {
@@ -530,7 +538,7 @@ function show(opened: Opened[], withScene = false): void {
   clock = comparison?.clock ?? film;
   playing = clock !== null;
   for (const stage of stages) stage.about = null;
-  if (two) colour(true);
+  if (two) colour("dent");
   element("player").hidden = !clock;
   element("name").textContent = opened.map(({ name }) => name).join(", ");
   element("names").hidden = !two;
@@ -646,7 +654,7 @@ function frame(now: number): void {
     updateCars(stage);
     if (updateObstacles(stage)) wake();
   }
-  comparison?.update(first.cars, second.cars, heatOn ? heat : null);
+  comparison?.update(first.cars, second.cars, heatOf === "dent" ? heat : null);
   tools?.update();
   scene.updateMatrixWorld();
   if (updateView(seconds)) wake();
