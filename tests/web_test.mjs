@@ -294,6 +294,29 @@ async function page(path, keep) {
     assert.ok(dented ? strained > 0.2 : strained < 1e-5, `strain of ${strained} where ${dented ? "a" : "no"} dent is`);
   }
 
+  // Where frames take long it draws less, and says so, until it is told to draw all.
+  const says = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#link").textContent), pattern.source);
+  await opened.evaluate(() => {
+    const { renderer } = window.crumple, { render } = renderer;
+    renderer.render = (...what) => {
+      render.apply(renderer, what);
+      for (const end = performance.now() + 80; performance.now() < end; );
+    };
+    window.fast = () => (renderer.render = render);
+  });
+  await opened.selectOption("#speed", "0.05");
+  await opened.click("#play");
+  await opened.evaluate(() => document.activeElement.blur());
+  const ratio = () => opened.evaluate(() => window.crumple.renderer.getPixelRatio());
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn in full$/);
+  assert.equal(await ratio(), 1);
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn coarsely to keep up \(key F/);
+  assert.equal(await ratio(), 0.4);
+  await opened.evaluate(() => window.fast());
+  await scrubTo(opened, 0.5);
+
   // Beside the scene, which has stopped with the whole dent.
   await opened.keyboard.press("b");
   await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);

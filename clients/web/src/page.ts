@@ -34,7 +34,6 @@ let beside: Scene = empty;
 
 THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
 const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
 renderer.toneMapping = THREE.NeutralToneMapping;
 renderer.toneMappingExposure = 1.05;
 renderer.shadowMap.enabled = true;
@@ -42,13 +41,14 @@ renderer.shadowMap.type = THREE.PCFShadowMap;
 const scene = new THREE.Scene();
 const horizon = new THREE.Color("#dfe4e8");
 scene.background = horizon;
-scene.fog = new THREE.Fog(horizon, 35, 110);
+const sight = 110; // m: fog hides what is farther, so it is not drawn
+scene.fog = new THREE.Fog(horizon, 35, sight);
 const maker = new THREE.PMREMGenerator(renderer);
 scene.environment = maker.fromScene(new RoomEnvironment(), 0.03).texture;
 scene.environmentRotation.set(Math.PI / 2, 0, 0); // its up is y
 scene.environmentIntensity = 0.55;
 
-const camera = new THREE.PerspectiveCamera(32, 1, 0.3, 300);
+const camera = new THREE.PerspectiveCamera(32, 1, 0.3, sight);
 const controls = new OrbitControls(camera, canvas);
 controls.enableDamping = true;
 controls.dampingFactor = 0.12;
@@ -403,6 +403,26 @@ function updateLabels({ cars }: Stage, { left, top, width, height }: Rectangle):
   }
 }
 
+// ---- how much is drawn ----
+
+/** From all to what a processor can draw, with what is said of it; pixels: a side, as a share. */
+const details = [
+  { shadows: true, pixels: 1, says: "" },
+  { shadows: false, pixels: 0.7, says: ", drawn without shadows" },
+  { shadows: false, pixels: 0.4, says: ", drawn coarsely" },
+];
+const slowest = 40; // ms a frame, as a mean of
+const enough = 1000; // ms
+let detail = 0, inFull = false, frames = 0, since = 0, slow = 0;
+
+function drawWith(index: number): void {
+  detail = index;
+  slow = 0;
+  sun.castShadow = details[detail].shadows;
+  renderer.setPixelRatio(details[detail].pixels * Math.min(devicePixelRatio, 2));
+  resize();
+}
+
 // ---- the panel ----
 
 const round = (value: number, places = 0) => value.toFixed(places);
@@ -411,7 +431,7 @@ function updatePanel(now: number): void {
   const age = (at: number) => (at ? `${round(Math.max(0, now - at) / 1000, 1)} s ago` : "never");
   const link = element("link");
   const state = source !== live ? (comparison ? "two recordings" : "recording") : live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
-  link.textContent = state;
+  link.textContent = state + details[detail].says + (detail ? " to keep up (key F: in full)" : inFull ? ", drawn in full" : "");
   link.className = source !== live || state === "live" ? "" : "lost";
   element("hint").textContent = film || state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
   for (const item of shown.values()) {
@@ -503,6 +523,10 @@ const keys: Record<string, () => void> = {
   "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
   " ": () => clock && element("play").click(), o: () => element("open").click(), b: () => current.length === 1 && element("beside").click(),
   c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
+  f: () => {
+    inFull = !inFull;
+    drawWith(0);
+  },
 };
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || choice.open) return;
@@ -622,19 +646,25 @@ void open(new URLSearchParams(location.search).getAll("recording").map((name, i)
 
 // ---- the loop ----
 
-let awakeUntil = 0, drawnAt = 0, calledAt = 0, version = -1, panelAt = 0, slow = 0;
+let awakeUntil = 0, drawnAt = 0, calledAt = 0, version = -1, panelAt = 0;
 function wake(): void {
   awakeUntil = performance.now() + 700; // as long as damping and arrows go on by themselves
 }
 
-// A machine that draws fewer than 25 pictures a second gets fewer pixels.
-function coarsen(period: number): void {
-  slow = period > 40 && period < 1000 ? slow + 1 : Math.max(0, slow - 1);
-  if (slow < 8 || renderer.getPixelRatio() < 0.6) return;
-  slow = 0;
-  renderer.setPixelRatio(0.75 * renderer.getPixelRatio());
-  resize();
+// Without a graphics card a frame may take seconds. The mean over a while counts: a browser takes some frames at once, then none for long.
+// Twice in a row, since once may be a file that was read.
+function keepUp(now: number): void {
+  ++frames;
+  if (now - since < enough) return;
+  slow = (now - since) / frames > slowest ? slow + 1 : 0;
+  if (slow > 1 && !inFull && details[detail + 1]) drawWith(detail + 1);
+  startCounting(now);
 }
+function startCounting(now: number): void {
+  frames = 0;
+  since = now;
+}
+document.addEventListener("visibilitychange", () => startCounting(performance.now())); // hidden it draws nothing
 
 function frame(now: number): void {
   requestAnimationFrame(frame);
@@ -646,10 +676,10 @@ function frame(now: number): void {
     panelAt = now;
     updatePanel(source.now());
   }
-  if (now > awakeUntil) return;
+  if (now > awakeUntil) return startCounting(now);
   const period = now - drawnAt, seconds = Math.min(1, period / 1000);
   drawnAt = now;
-  coarsen(period);
+  keepUp(now);
   for (const stage of stages) {
     updateCars(stage);
     if (updateObstacles(stage)) wake();
@@ -696,11 +726,12 @@ void startTools(element("tools"), workbench).then((started) => {
 controls.addEventListener("change", wake);
 addEventListener("resize", resize);
 new ResizeObserver(resize).observe(element("panel"));
-resize();
+drawWith(0);
 requestAnimationFrame(frame);
 
 /** A small PNG, base64: the first car from where a page begins to look at it. */
 function picture(): string {
+  drawWith(0);
   camera.clearViewOffset();
   camera.aspect = 16 / 9;
   camera.updateProjectionMatrix();
