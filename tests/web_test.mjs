@@ -1,7 +1,7 @@
 // The gateway for browsers and its page, as a newcomer has them: real server, real zenoh, `crumple view`.
 //   node tests/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
 //   node tests/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/web_page.png does; 77: no Chromium
-//   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: the difference is that of their exported surfaces
+//   node tests/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: difference and strain are those of their exported surfaces
 //   node tests/web_test.mjs repaint PROGRAM CAR WEB     a car painted anew again and again is shown, what it was is forgotten
 //   node tests/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
 //   node tests/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
@@ -262,8 +262,9 @@ async function page(path, keep) {
   const panel = await opened.innerText("#panel");
   for (const words of ["car", "km/h", "ms a tick", "solve", "bits a vertex"]) assert.ok(panel.includes(words), `the panel does not say "${words}": ${panel}`);
   assert.match(await opened.innerText("#credits"), /mononofu/, "whom to credit is not shown");
+  await opened.evaluate(countStrains);
   await opened.keyboard.press("c"); // colours by dent stay on for the picture: there a dent shows most
-  assert.equal(await opened.getAttribute("#heat", "aria-pressed"), "true");
+  assert.equal(await opened.innerText("#legend"), "Dent\n0\n500 mm");
   await opened.keyboard.press("p");
   assert.ok(await opened.isHidden("#details"), "key P does not fold the panel");
 
@@ -275,6 +276,13 @@ async function page(path, keep) {
   console.log(`hash ${hash}; the picture differs by ${(100 * difference.mean).toFixed(2)} % on average, by much in ${(100 * difference.far).toFixed(2)} % of it`);
   assert.ok(difference.mean < 0.012 && difference.far < 0.02, "the page draws another picture than tests/web_page.png");
 
+  // Strain is found once for each surface, while it is shown.
+  const strains = () => opened.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(window.strains)))));
+  assert.equal(await strains(), 0);
+  await opened.keyboard.press("c");
+  await opened.keyboard.press("ArrowLeft");
+  assert.equal(await strains(), 1);
+
   // The same recording as a file, put to a moment before the crash and to one after it.
   await opened.setInputFiles("#file", recording);
   await opened.waitForFunction(() => window.crumple.film());
@@ -284,7 +292,32 @@ async function page(path, keep) {
       const [item] = window.crumple.shown.values();
       return item?.mesh && item.mesh.deepest > 0.1 === wanted;
     }, dented);
+    const strained = await opened.evaluate(() => Math.max(...[...window.crumple.shown.values()][0].mesh.strain()));
+    assert.ok(dented ? strained > 0.2 : strained < 1e-5, `strain of ${strained} where ${dented ? "a" : "no"} dent is`);
   }
+
+  // Where frames take long it draws less, and says so, until it is told to draw all.
+  const says = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#link").textContent), pattern.source);
+  await opened.evaluate(() => {
+    const { renderer } = window.crumple, { render } = renderer;
+    renderer.render = (...what) => {
+      render.apply(renderer, what);
+      for (const end = performance.now() + 80; performance.now() < end; );
+    };
+    window.fast = () => (renderer.render = render);
+  });
+  await opened.selectOption("#speed", "0.05");
+  await opened.click("#play");
+  await opened.evaluate(() => document.activeElement.blur());
+  const ratio = () => opened.evaluate(() => window.crumple.renderer.getPixelRatio());
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn in full$/);
+  assert.equal(await ratio(), 1);
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn coarsely to keep up \(key F/);
+  assert.equal(await ratio(), 0.4);
+  await opened.evaluate(() => window.fast());
+  await scrubTo(opened, 0.5);
 
   // Beside the scene, which has stopped with the whole dent.
   await opened.keyboard.press("b");
@@ -328,12 +361,59 @@ async function exported(recording, folder) {
   const ticks = readdirSync(folder).map((name) => Number(/_(\d+)\.obj$/.exec(name)?.[1] ?? NaN)).filter((tick) => tick >= 0).sort((a, b) => a - b);
   return {
     contact: Number(rows.find((row) => Number(row.at(-1)) > 0)[0]),
-    surface(tick) {
+    /** kind: "v", or "f" for its triangles, whose vertices are counted from 1. */
+    surface(tick, kind = "v") {
       const name = String(ticks.filter((one) => one <= tick).at(-1)).padStart(6, "0");
-      const lines = readFileSync(`${folder}/car_${name}.obj`, "utf8").split("\n").filter((line) => line.startsWith("v "));
+      const lines = readFileSync(`${folder}/car_${name}.obj`, "utf8").split("\n").filter((line) => line.startsWith(`${kind} `));
       return lines.map((line) => line.split(" ").slice(1, 4).map(Number));
     },
   };
+}
+
+// Of each vertex, slowly: how much longer or shorter the lines of its triangles have become, at most of all directions; by area.
+function strainOf(triangles, rest, now) {
+  const minus = (a, b) => a.map((x, k) => x - b[k]), dot = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
+  const sum = rest.map(() => 0), area = rest.map(() => 0);
+  for (const corners of triangles.map((triangle) => triangle.map((v) => v - 1))) {
+    const [[b, c], [p, q]] = [rest, now].map((at) => corners.slice(1).map((v) => minus(at[v], at[corners[0]])));
+    const width = Math.hypot(...b), along = dot(b, c) / width, height = Math.hypot(...c.map((x, k) => x - (along / width) * b[k]));
+    let most = 0;
+    for (let angle = 0; angle < Math.PI; angle += Math.PI / 360) {
+      const y = Math.sin(angle) / height, x = (Math.cos(angle) - y * along) / width; // a line of 1 m is x b + y c
+      most = Math.max(most, Math.abs(Math.hypot(...p.map((one, k) => x * one + y * q[k])) - 1));
+    }
+    for (const v of corners) {
+      sum[v] += most * width * height;
+      area[v] += width * height;
+    }
+  }
+  return sum.map((x, v) => x / area[v]);
+}
+
+// In the page: counts from now on how often the strain of a car is found.
+function countStrains() {
+  const made = Object.getPrototypeOf([...window.crumple.shown.values()][0].mesh), { strain } = made;
+  window.strains = 0;
+  made.strain = function () {
+    ++window.strains;
+    return strain.call(this);
+  };
+}
+
+// What the legend says: "Dent", 500, and the colours, as light.
+async function readLegend(opened) {
+  const [quantity, most, bar] = await opened.evaluate(() => [
+    ...["#quantity", "#most"].map((id) => document.querySelector(id).textContent), getComputedStyle(document.querySelector("#legend i")).backgroundImage]);
+  const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
+  return { quantity, most: parseFloat(most), unit: most.split(" ")[1], stops: [...bar.matchAll(/rgb\((\d+), (\d+), (\d+)\)/g)].map((stop) => stop.slice(1).map(Number).map(linear)) };
+}
+
+function checkColours({ quantity, most, stops }, values, drawn) {
+  values.forEach((value, v) => {
+    const share = Math.min(1, value / most) * (stops.length - 1), i = Math.min(Math.floor(share), stops.length - 2);
+    const wanted = stops[i].map((x, k) => x + (share - i) * (stops[i + 1][k] - x));
+    assert.ok(wanted.every((x, k) => Math.abs(x - drawn[v][k]) < 0.01), `vertex ${v}, ${quantity} ${value}, is drawn as ${drawn[v]}, not ${wanted}`);
+  });
 }
 
 // In the page: of each vertex of the pair's two cars the colour that it is drawn in.
@@ -387,17 +467,28 @@ async function comparison(path) {
 
   // Colours are those of the legend, at the lengths that it says.
   const { lengths } = apart(100);
-  const legend = await opened.evaluate(() => [getComputedStyle(document.querySelector("#legend i")).backgroundImage, document.querySelector("#most").textContent]);
-  const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
-  const stops = [...legend[0].matchAll(/rgb\((\d+), (\d+), (\d+)\)/g)].map((stop) => stop.slice(1).map(Number).map(linear));
-  const most = parseFloat(legend[1]);
-  for (const drawn of await opened.evaluate(colours))
-    lengths.forEach((length, v) => {
-      const share = Math.min(1, length / most) * (stops.length - 1), i = Math.min(Math.floor(share), stops.length - 2);
-      const wanted = stops[i].map((x, k) => x + (share - i) * (stops[i + 1][k] - x));
-      assert.ok(wanted.every((x, k) => Math.abs(x - drawn[v][k]) < 0.01), `vertex ${v}, ${length} mm apart, is drawn as ${drawn[v]}, not ${wanted}`);
-    });
+  const difference = await readLegend(opened);
+  assert.equal(`${difference.quantity} ${difference.unit}`, "Difference mm");
+  for (const drawn of await opened.evaluate(colours)) checkColours(difference, lengths, drawn);
   assert.deepEqual(await opened.evaluate(whereDrawn), [{ cars: [0], left: true }, { cars: [1], left: false }]);
+
+  // Strain, of each of them by itself.
+  await opened.keyboard.press("c");
+  const strain = await readLegend(opened);
+  assert.equal(`${strain.quantity} ${strain.unit}`, "Strain of the surface %");
+  for (const after of [2, 100, -2]) {
+    const wanted = [a, b].map(({ contact, surface }) => strainOf(surface(contact, "f"), surface(contact - 2), surface(contact + after)).map((x) => 100 * x));
+    await scrubTo(opened, (Math.max(a.contact, b.contact) - 1 + after) / 60);
+    await differBy(opened, apart(after).largest);
+    for (const [i, drawn] of (await opened.evaluate(colours)).entries()) checkColours(strain, wanted[i], drawn);
+    const said = await opened.evaluate(() => window.crumple.comparison().pairs[0].shown.map(({ mesh }) => [...mesh.strain()]));
+    said.forEach((values, i) => values.forEach((value, v) => assert.ok(Math.abs(100 * value - wanted[i][v]) < 0.2, `vertex ${v}: strain ${100 * value} %, not ${wanted[i][v]} %`)));
+    console.log(`${after} ticks after contact: strain ${wanted.map((values) => Math.max(...values).toFixed(1)).join(" and ")} % at most`);
+  }
+  await opened.keyboard.press("c");
+  assert.ok(await opened.isHidden("#legend"), "the legend stays when colours are off");
+  await opened.keyboard.press("c");
+  assert.equal((await readLegend(opened)).quantity, "Difference");
 
   // The same twice.
   await opened.setInputFiles("#file", [recordings[0], recordings[0]]);
@@ -513,6 +604,27 @@ function tints() {
   return counts;
 }
 
+// Two fingers near the view by going apart, and turn it by going along, as on a phone.
+async function twoFingers(opened) {
+  const session = await opened.context().newCDPSession(opened);
+  const touch = (type, ...fingers) => session.send("Input.dispatchTouchEvent", { type, touchPoints: fingers.map((x, id) => ({ x, y: 200, id })) });
+  const eye = () => opened.evaluate(() => {
+    const { camera, controls } = window.crumple.tools().paint.stage, { x, y, z } = camera.position.clone().sub(controls.target);
+    return { away: Math.hypot(x, y, z), azimuth: Math.atan2(y, x) };
+  });
+  const move = async (from, to) => {
+    await touch("touchStart", from[0]);
+    await touch("touchStart", ...from);
+    await touch("touchMove", ...to);
+    await touch("touchEnd");
+  };
+  const before = await eye();
+  await move([220, 260], [190, 290]);
+  await until("a nearer view", async () => (await eye()).away < 0.7 * before.away);
+  await move([200, 240], [280, 320]);
+  await until("a turned view", async () => Math.abs((await eye()).azimuth - before.azimuth) > 0.3);
+}
+
 async function download(opened, button, file) {
   const [came] = await Promise.all([opened.waitForEvent("download"), opened.click(button)]);
   await came.saveAs(file);
@@ -589,6 +701,8 @@ async function controlIn(path, folder) {
   assert.equal(Object.keys(all).length, 3);
   await opened.evaluate(() => [false, true].forEach((on) => window.crumple.tools().paint.toggle(on)));
   assert.deepEqual(await opened.evaluate(tints), all, "the mask is another when it is painted at once");
+  await twoFingers(opened);
+  assert.equal(await legend(), "hood\ncell, anchored", "two fingers paint");
 
   // Re-baked: the car in the scene is what the program bakes of the saved regions.
   await opened.click("#paint-bake");

@@ -90,3 +90,46 @@ export function skin(car: BakedCar, surface: { quanta: Int16Array; quantum: numb
   }
   return true;
 }
+
+/** Thinner ones than this share of their longest edge have no strain: their vertices' last bits would be it. */
+const sliver = 1e-5;
+
+/**
+ * Strain of a surface `now` (3 a vertex, as `skin` makes it) against rest, a vertex, into `out`: the largest |principal stretch - 1| of
+ * its triangles, by their area at rest. Principal stretches are sqrt(1 + 2 e), with e the principal values of the Green strain
+ * (G^-1 H - 1) / 2, where G and H have the products of a triangle's edges, at rest and now. The elastic part is in it: about 0.01 in this
+ * body (Material::yield), 0.002 in sheet steel. So what a car shows that nothing touches is plastic.
+ */
+export function strain(car: BakedCar, now: Float32Array, out: Float32Array): void {
+  const { vertex: rest, triangle } = car, area = new Float32Array(out.length);
+  const g = [0, 0, 0], h = [0, 0, 0];
+  out.fill(0);
+  for (let t = 0; t < triangle.length; t += 3) {
+    const a = triangle[t], b = triangle[t + 1], c = triangle[t + 2];
+    products(rest, a, b, c, g);
+    const squared = g[0] * g[2] - g[1] * g[1]; // of twice the area
+    const longest = Math.max(g[0], g[2], g[0] - 2 * g[1] + g[2]);
+    if (!(squared > (sliver * longest) ** 2)) continue;
+    products(now, a, b, c, h);
+    const mean = (g[2] * h[0] - 2 * g[1] * h[1] + g[0] * h[2]) / squared / 2, product = (h[0] * h[2] - h[1] * h[1]) / squared;
+    const apart = Math.sqrt(Math.max(0, mean * mean - product)), weight = Math.sqrt(squared);
+    const largest = Math.max(Math.sqrt(mean + apart) - 1, 1 - Math.sqrt(Math.max(0, mean - apart)));
+    for (let k = t; k < t + 3; ++k) {
+      out[triangle[k]] += weight * largest;
+      area[triangle[k]] += weight;
+    }
+  }
+  for (let v = 0; v < out.length; ++v) if (area[v]) out[v] /= area[v];
+}
+
+// Of the edges from a: b with itself, b with c, c with itself.
+function products(at: Float32Array, a: number, b: number, c: number, out: number[]): void {
+  a *= 3;
+  b *= 3;
+  c *= 3;
+  const ux = at[b] - at[a], uy = at[b + 1] - at[a + 1], uz = at[b + 2] - at[a + 2];
+  const vx = at[c] - at[a], vy = at[c + 1] - at[a + 1], vz = at[c + 2] - at[a + 2];
+  out[0] = ux * ux + uy * uy + uz * uz;
+  out[1] = ux * vx + uy * vy + uz * vz;
+  out[2] = vx * vx + vy * vy + vz * vz;
+}

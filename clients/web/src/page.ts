@@ -14,7 +14,9 @@ import { startTools, type Tools } from "./tools.js";
 const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 // Lightness falls all the way, so that they are read in any colour vision.
 const heat = ["#f1efe9", "#fac228", "#f57d15", "#d44842", "#9f2a63", "#65156e", "#280b53"].map((colour) => new THREE.Color(colour));
-const heatMost = 0.5; // m
+/** What colours may show of a car, and which value has the last of them. In a comparison the difference stands in place of the dent. */
+type Quantity = "dent" | "strain";
+const heatMost: Record<Quantity, number> = { dent: 0.5, strain: 0.5 }; // m, 1
 const gravity = 9.81;
 const arrowStays = 1500; // ms
 const panelPeriod = 250; // ms: text that changes faster is not read
@@ -32,7 +34,6 @@ let beside: Scene = empty;
 
 THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
 const renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
-renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
 renderer.toneMapping = THREE.NeutralToneMapping;
 renderer.toneMappingExposure = 1.05;
 renderer.shadowMap.enabled = true;
@@ -40,13 +41,14 @@ renderer.shadowMap.type = THREE.PCFShadowMap;
 const scene = new THREE.Scene();
 const horizon = new THREE.Color("#dfe4e8");
 scene.background = horizon;
-scene.fog = new THREE.Fog(horizon, 35, 110);
+const sight = 110; // m: fog hides what is farther, so it is not drawn
+scene.fog = new THREE.Fog(horizon, 35, sight);
 const maker = new THREE.PMREMGenerator(renderer);
 scene.environment = maker.fromScene(new RoomEnvironment(), 0.03).texture;
 scene.environmentRotation.set(Math.PI / 2, 0, 0); // its up is y
 scene.environmentIntensity = 0.55;
 
-const camera = new THREE.PerspectiveCamera(32, 1, 0.3, 300);
+const camera = new THREE.PerspectiveCamera(32, 1, 0.3, sight);
 const controls = new OrbitControls(camera, canvas);
 controls.enableDamping = true;
 controls.dampingFactor = 0.12;
@@ -110,7 +112,7 @@ class ShownCar {
   readonly row = document.createElement("button");
   mesh: CarMesh | null = null;
   #version = -1;
-  #painted = -1;
+  #painted = ""; // what, and of which version
   #extent = new THREE.Box3();
 
   constructor(readonly car: LiveCar, readonly colour: string, readonly stage: Stage) {
@@ -144,7 +146,8 @@ class ShownCar {
     const { car } = this;
     if (car.baked && this.mesh?.baked !== car.baked) {
       this.#undress();
-      this.#version = this.#painted = -1;
+      this.#version = -1;
+      this.#painted = "";
       const material = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
       this.mesh = new CarMesh(car.baked, material);
       this.#extent.setFromBufferAttribute(new THREE.BufferAttribute(car.baked.vertex, 3));
@@ -160,18 +163,18 @@ class ShownCar {
   }
 
   #paint(mesh: CarMesh): void {
-    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOn && (!comparison || comparison.has(this));
+    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOf === "strain" || (heatOf === "dent" && (!comparison || comparison.has(this)));
     if (material.vertexColors !== heated) {
       material.vertexColors = heated;
       material.color.set(heated ? "#ffffff" : this.colour);
       material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
-      this.#painted = -1;
     }
-    if (comparison) this.#painted = -1; // it paints by itself
-    if (!heated || comparison || this.#painted === this.#version) return;
-    mesh.paint(heat, heatMost);
-    this.#painted = this.#version;
+    const wanted = !heated ? "" : comparison && heatOf === "dent" ? "difference" : `${heatOf} ${this.#version}`;
+    if (this.#painted === wanted) return;
+    this.#painted = wanted;
+    if (heatOf === "dent" && !comparison) mesh.paint(heat, heatMost.dent);
+    if (heatOf === "strain") mesh.paint(heat, heatMost.strain, mesh.strain());
   }
 
   // The greatest impulse of the last hit, as the deceleration that it was: 4 cm for each g.
@@ -321,7 +324,7 @@ function seeThrough({ obstacles, cars }: Stage): void {
 // ---- the view ----
 
 let followed = ""; // a car's id; "": what moves
-let heatOn = false;
+let heatOf: Quantity | null = null;
 let framed = false; // the first car was put in the middle
 
 function follow(id: string): void {
@@ -408,6 +411,26 @@ function updateLabels({ cars }: Stage, { left, top, width, height }: Rectangle):
   }
 }
 
+// ---- how much is drawn ----
+
+/** From all to what a processor can draw, with what is said of it; pixels: a side, as a share. */
+const details = [
+  { shadows: true, pixels: 1, says: "" },
+  { shadows: false, pixels: 0.7, says: ", drawn without shadows" },
+  { shadows: false, pixels: 0.4, says: ", drawn coarsely" },
+];
+const slowest = 40; // ms a frame, as a mean of
+const enough = 1000; // ms
+let detail = 0, inFull = false, frames = 0, since = 0, slow = 0;
+
+function drawWith(index: number): void {
+  detail = index;
+  slow = 0;
+  sun.castShadow = details[detail].shadows;
+  renderer.setPixelRatio(details[detail].pixels * Math.min(devicePixelRatio, 2));
+  resize();
+}
+
 // ---- the panel ----
 
 const round = (value: number, places = 0) => value.toFixed(places);
@@ -416,7 +439,7 @@ function updatePanel(now: number): void {
   const age = (at: number) => (at ? `${round(Math.max(0, now - at) / 1000, 1)} s ago` : "never");
   const link = element("link");
   const state = source !== live ? (comparison ? "two recordings" : "recording") : live.link === "live" ? (live.server ? "live" : "no server of this scene") : live.link === "lost" ? "line lost, trying again" : "connecting";
-  link.textContent = state;
+  link.textContent = state + details[detail].says + (detail ? " to keep up (key F: in full)" : inFull ? ", drawn in full" : "");
   link.className = source !== live || state === "live" ? "" : "lost";
   element("hint").textContent = film || state !== "live" || live.cars.size ? "" : hadCars ? "No car now" : "No car yet. Drive one: crumple drive clients/scenes/pole.json --car CAR";
   for (const item of shown.values()) {
@@ -430,8 +453,7 @@ function updatePanel(now: number): void {
   updateServer(age);
   element("comparison").hidden = !comparison;
   if (comparison) element("comparison").replaceChildren(...comparison.lines().map((line) => Object.assign(document.createElement("p"), { textContent: line })));
-  element("heat").textContent = comparison ? "Colour difference" : "Colours by dent";
-  element("most").textContent = `${1000 * (comparison?.most ?? heatMost)} mm`;
+  updateLegend();
   const credits = new Set(stages.flatMap(({ cars }) => [...cars.values()]).map((item) => item.car.baked?.attribution).filter(Boolean));
   element("credits").textContent = [...credits, ...live.trouble.values()].join("; ");
 }
@@ -472,11 +494,18 @@ function press(id: string, action: () => void): void {
     wake();
   };
 }
-press("heat", () => colour(!heatOn));
-function colour(on: boolean): void {
-  heatOn = on;
-  element("heat").setAttribute("aria-pressed", String(heatOn));
-  element("legend").hidden = !heatOn;
+press("heat", () => colour(heatOf === null ? "dent" : heatOf === "dent" ? "strain" : null));
+function colour(by: Quantity | null): void {
+  heatOf = by;
+  updateLegend();
+}
+function updateLegend(): void {
+  const quantity = heatOf === "dent" && comparison ? "difference" : heatOf;
+  element("heat").textContent = quantity ? `Colours: ${quantity}` : "Colours";
+  element("heat").className = quantity ? "on" : "";
+  element("legend").hidden = !quantity;
+  element("quantity").textContent = quantity === "strain" ? "Strain of the surface" : quantity === "dent" ? "Dent" : "Difference";
+  element("most").textContent = quantity === "strain" ? `${100 * heatMost.strain} %` : `${1000 * (comparison?.most ?? heatMost.dent)} mm`;
 }
 press("all", () => follow(""));
 press("fold", () => {
@@ -502,6 +531,10 @@ const keys: Record<string, () => void> = {
   "+": () => turn(0, 0, 0.88), "=": () => turn(0, 0, 0.88), "-": () => turn(0, 0, 1.13),
   " ": () => clock && element("play").click(), o: () => element("open").click(), b: () => current.length === 1 && element("beside").click(),
   c: () => element("heat").click(), p: () => element("fold").click(), "0": () => follow(""),
+  f: () => {
+    inFull = !inFull;
+    drawWith(0);
+  },
 };
 addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || choice.open) return;
@@ -537,7 +570,7 @@ function show(opened: Opened[], withScene = false): void {
   clock = comparison?.clock ?? film;
   playing = clock !== null;
   for (const stage of stages) stage.about = null;
-  if (two) colour(true);
+  if (two) colour("dent");
   element("player").hidden = !clock;
   element("name").textContent = opened.map(({ name }) => name).join(", ");
   element("names").hidden = !two;
@@ -621,19 +654,25 @@ void open(new URLSearchParams(location.search).getAll("recording").map((name, i)
 
 // ---- the loop ----
 
-let awakeUntil = 0, drawnAt = 0, calledAt = 0, version = -1, panelAt = 0, slow = 0;
+let awakeUntil = 0, drawnAt = 0, calledAt = 0, version = -1, panelAt = 0;
 function wake(): void {
   awakeUntil = performance.now() + 700; // as long as damping and arrows go on by themselves
 }
 
-// A machine that draws fewer than 25 pictures a second gets fewer pixels.
-function coarsen(period: number): void {
-  slow = period > 40 && period < 1000 ? slow + 1 : Math.max(0, slow - 1);
-  if (slow < 8 || renderer.getPixelRatio() < 0.6) return;
-  slow = 0;
-  renderer.setPixelRatio(0.75 * renderer.getPixelRatio());
-  resize();
+// Without a graphics card a frame may take seconds. The mean over a while counts: a browser takes some frames at once, then none for long.
+// Twice in a row, since once may be a file that was read.
+function keepUp(now: number): void {
+  ++frames;
+  if (now - since < enough) return;
+  slow = (now - since) / frames > slowest ? slow + 1 : 0;
+  if (slow > 1 && !inFull && details[detail + 1]) drawWith(detail + 1);
+  startCounting(now);
 }
+function startCounting(now: number): void {
+  frames = 0;
+  since = now;
+}
+document.addEventListener("visibilitychange", () => startCounting(performance.now())); // hidden it draws nothing
 
 function frame(now: number): void {
   requestAnimationFrame(frame);
@@ -645,15 +684,15 @@ function frame(now: number): void {
     panelAt = now;
     updatePanel(source.now());
   }
-  if (now > awakeUntil) return;
+  if (now > awakeUntil) return startCounting(now);
   const period = now - drawnAt, seconds = Math.min(1, period / 1000);
   drawnAt = now;
-  coarsen(period);
+  keepUp(now);
   for (const stage of stages) {
     updateCars(stage);
     if (updateObstacles(stage)) wake();
   }
-  comparison?.update(first.cars, second.cars, heatOn ? heat : null);
+  comparison?.update(first.cars, second.cars, heatOf === "dent" ? heat : null);
   tools?.update();
   scene.updateMatrixWorld();
   if (updateView(seconds)) wake();
@@ -695,11 +734,12 @@ void startTools(element("tools"), workbench).then((started) => {
 controls.addEventListener("change", wake);
 addEventListener("resize", resize);
 new ResizeObserver(resize).observe(element("panel"));
-resize();
+drawWith(0);
 requestAnimationFrame(frame);
 
 /** A small PNG, base64: the first car from where a page begins to look at it. */
 function picture(): string {
+  drawWith(0);
   camera.clearViewOffset();
   camera.aspect = 16 / 9;
   camera.updateProjectionMatrix();

@@ -2,7 +2,7 @@
 // Its axes are the car's: x forward, y left, z up, metres.
 import * as THREE from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
-import { skin, type BakedCar } from "./baked.js";
+import { skin, strain, type BakedCar } from "./baked.js";
 import { Shape, type Obstacle } from "./decode.js";
 
 /** Edges at rest sharper than this stay sharp: doors, windows, wheel arches. */
@@ -18,6 +18,8 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
   updates = 0;
   #triangle: Uint32Array; // in corners: a vertex, once for each side of a crease
   #vertexOf: Uint32Array; // of a corner
+  #strain: Float32Array | null = null;
+  #radius: number; // of the bounding sphere at rest, m
 
   constructor(readonly baked: BakedCar, material: THREE.Material) {
     const { triangle, vertexOf } = splitAtCreases(baked);
@@ -27,9 +29,10 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
     geometry.setAttribute("normal", attribute());
     geometry.setAttribute("color", attribute());
     geometry.setIndex(new THREE.BufferAttribute(triangle, 1));
+    geometry.boundingSphere = new THREE.Box3().setFromArray(baked.vertex).getBoundingSphere(new THREE.Sphere());
     super(geometry, material);
+    this.#radius = geometry.boundingSphere.radius;
     this.castShadow = this.receiveShadow = true;
-    this.frustumCulled = false; // its bounds would have to be found anew with every dent
     this.#triangle = triangle;
     this.#vertexOf = vertexOf;
     this.skinned = new Float32Array(baked.vertex.length);
@@ -58,14 +61,22 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
     }
     sumNormals(at, this.#triangle, normal.array as Float32Array);
     position.needsUpdate = normal.needsUpdate = true;
+    this.geometry.boundingSphere!.radius = this.#radius + this.deepest;
     return true;
   }
 
-  /** Vertex colours by how far each has moved, or by other lengths: for a material with vertexColors. `most` m has the last colour. */
-  paint(colours: readonly THREE.Color[], most: number, lengths = this.moved): void {
+  /** Of each vertex (`strain` in baked.ts); found when asked for. */
+  strain(): Float32Array {
+    this.#strain ??= new Float32Array(this.moved.length);
+    strain(this.baked, this.skinned, this.#strain);
+    return this.#strain;
+  }
+
+  /** Vertex colours by a value each, like `moved`: for a material with vertexColors. `most` has the last colour. */
+  paint(colours: readonly THREE.Color[], most: number, values = this.moved): void {
     const { color } = this.geometry.attributes;
     for (let c = 0; c < this.#vertexOf.length; ++c) {
-      const share = Math.min(1, lengths[this.#vertexOf[c]] / most) * (colours.length - 1);
+      const share = Math.min(1, values[this.#vertexOf[c]] / most) * (colours.length - 1);
       const i = Math.min(Math.floor(share), colours.length - 2);
       mixed.lerpColors(colours[i], colours[i + 1], share - i);
       color.setXYZ(c, mixed.r, mixed.g, mixed.b);
