@@ -127,7 +127,8 @@ const char* web_address(const Web*);
 // What is answered to GET path from now on.
 int web_page(Web*, const char* path, const char* media_type, const void* data, size_t size);
 int web_set(Web*, const char* key, const void* data, size_t size);
-// Whoever comes from now on gets no page whose path and nothing of what is set under keys that begin so; the others are not told.
+// Whoever comes from now on gets no page whose path and nothing of what is set under keys that begin so; the others are not
+// told.
 int web_forget(Web*, const char* prefix);
 // From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64, each for 30 s. Before that they are refused.
 int web_take_requests(Web*);
