@@ -16,6 +16,7 @@ class Sum {
   static constexpr bool reads = false, sums = true;
   Sum() { XXH64_reset(&state_, 0); }
   void raw(const void* data, size_t size) {
+    if (size == 0) return;  // of an empty list, which may be nowhere
     if (size > sizeof gathered_ - used_) {
       flush();
       if (size > sizeof gathered_) {
