@@ -26,9 +26,9 @@ def draw(rows, path):
     levels = sorted({row["nodes"] for row in rows if row["scene"] in HITS}, reverse=True)
     for hit, (colour, mark) in HITS.items():
         for level, line in zip(levels, LINES):
-            chosen = [row for row in pick(rows, scene=hit, nodes=level) if row["tolerance"] == 0]
             default = [row for row in pick(rows, scene=hit, nodes=level) if row["tolerance"] > 0]
             most = max(row["substeps"] for row in default)
+            chosen = [row for row in pick(rows, scene=hit, nodes=level) if row["tolerance"] == 0 and row["substeps"] == most]
             for row in default:
                 usual = row["substeps"] == most
                 axes.plot(row["cars_per_tick"], row["error_percent"], "*", markersize=14 if usual else 9, color=colour,

@@ -191,6 +191,7 @@ void next_recording(Server& server) {
   if (server.closing.valid() && server.closing.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
   try {
     const std::string file = with_time(server.options.record);
+    if (file == server.record) return;  // which would be written over
     auto next = open_recording(server, file);
     tell_closed(server);
     server.lost_before = lost(server);
@@ -396,7 +397,7 @@ void run_tick(Server& server) {
   const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
   server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), work(*server.world));
   const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
-  uint64_t sum = replicated ? hash(*server.world) : 0;  // a millisecond where cars are a thousand
+  uint64_t sum = replicated ? hash(*server.world) : 0;  // 0.3 ms where cars are a thousand
   if (replicated) publish(server, inputs_message(number, server.inbox, sum));
   announce_cars(server);
   for (const Message& message : server.outbox) publish(server, message);
