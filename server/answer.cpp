@@ -9,9 +9,7 @@
 
 namespace crumple {
 
-void answer_asset(Net* net, const NetEvent& query, const std::vector<std::shared_ptr<const Car>>& cars) {
-  const std::string_view key = query.key;
-  const std::string_view hash = key.substr(key.rfind('/') + 1);
+void answer_asset(Net* net, const NetEvent& query, std::string_view hash, const std::vector<std::shared_ptr<const Car>>& cars) {
   uint64_t offset = 0;
   if (query.size == sizeof offset) std::memcpy(&offset, query.data, sizeof offset);
   for (const auto& car : cars) {
@@ -20,8 +18,7 @@ void answer_asset(Net* net, const NetEvent& query, const std::vector<std::shared
     net_reply(net, query.ticket, piece.data(), piece.size(), 0);
     return;
   }
-  const std::string sentence =
-      "asset " + std::string(hash.substr(0, 64)) + " is not here: give its file to `crumple serve --car`";
+  const std::string sentence = "asset " + std::string(hash) + " is not here: give its file to `crumple serve --car`";
   net_reply(net, query.ticket, sentence.data(), sentence.size(), 1);
 }
 
@@ -35,9 +32,7 @@ void LatestInputs::keep(const Message& message) {
 
 void LatestInputs::forget_others(const std::vector<std::string>& hosts) {
   std::erase_if(messages, [&](const auto& each) {
-    const std::string_view key = each.first;  // host/{host}/poses
-    const std::string_view host = key.substr(5, key.rfind('/') - 5);
-    return std::find(hosts.begin(), hosts.end(), host) == hosts.end();
+    return std::find(hosts.begin(), hosts.end(), parse_key(each.first).value_or(Key{}).id) == hosts.end();
   });
 }
 

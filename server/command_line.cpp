@@ -14,6 +14,7 @@
 #include "cpp/watch.h"
 #include "export.h"
 #include "info.h"
+#include "protocol/key.h"
 #include "recording.h"
 #include "recover.h"
 #include "render.h"
@@ -34,14 +35,8 @@ void on_signal(int signal) {
   std::signal(signal, SIG_DFL);
 }
 
-const CLI::Validator is_id(
-    [](std::string& text) -> std::string {
-      const bool good =
-          !text.empty() && text.size() <= 32 &&
-          text.find_first_not_of("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-") == std::string::npos;
-      return good ? "" : "\"" + text + "\" is not an id: use 1 to 32 characters of a-z A-Z 0-9 _ -";
-    },
-    "ID");
+const CLI::Validator id(
+    [](std::string& text) -> std::string { return is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule; }, "ID");
 
 std::string read_file(const std::string& path) {
   std::ifstream file(path);
@@ -129,7 +124,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->required()
       ->check(CLI::ExistingFile)
       ->type_name("CAR");
-  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(is_id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(id)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
                   "network, by anyone unless --network says who")
@@ -193,9 +188,9 @@ Verb add_drive(CLI::App& app, client::DriveOptions& options) {
   verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
-  verb.add_option("--host", options.host, "id of this host")->check(is_id)->capture_default_str();
-  verb.add_option("--id", options.id, "id of the car that is spawned")->check(is_id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
+  verb.add_option("--id", options.id, "id of the car that is spawned")->check(id)->capture_default_str();
   verb.add_option("--preset", options.preset, "how the car bends, laid over the scene's parameters; see clients/presets")
       ->type_name("FILE");
   verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
@@ -208,8 +203,8 @@ Verb add_watch(CLI::App& app, client::WatchOptions& options) {
   CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->capture_default_str();
-  verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(is_id);
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
   verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
       ->check(CLI::Range(0, 1))
       ->capture_default_str();
@@ -236,7 +231,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
                            ->capture_default_str();
   verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(is_id)->excludes(file)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->excludes(file)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
                   "phone in the same network, and from whoever else is in it")

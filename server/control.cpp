@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "asset/bake.h"
+#include "protocol/key.h"
 #include "schema/message_generated.h"
 #include "sim/material.h"
 
@@ -15,12 +16,6 @@ namespace {
 
 constexpr uint32_t answer_ms = 5'000;
 constexpr std::string_view command_path = "/command/car/", paint_path = "/paint/";
-
-// Nothing else: "*" would command all cars.
-bool is_plain_id(std::string_view id) {
-  constexpr std::string_view allowed = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-";
-  return !id.empty() && id.size() <= 32 && id.find_first_not_of(allowed) == id.npos;
-}
 
 std::shared_ptr<const Car> paint(const Control::Bytes& bytes, const std::string& hash, std::string regions) {
   BakeOptions options;
@@ -64,7 +59,7 @@ void Control::pass(const Passed& passed, const std::string& key, std::span<const
 }
 
 void Control::command(const WebRequest& request, const std::string& car) {
-  if (!is_plain_id(car)) return refuse(request.ticket, 400, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  if (!is_id(car)) return refuse(request.ticket, 400, std::string("not the id of a car: ") + id_rule);
   pass({request.ticket, nullptr}, "car/" + car, {request.data, request.size});
 }
 

@@ -61,18 +61,17 @@ std::span<const std::byte> bytes_of(const RecordingReader::Item& item) {
 
 void take_input(const RecordingReader::Item& item, Export& out) {
   const Limits& limits = out.file.head().limits;
-  Address address;
-  if (decode(item.key, limits, address)) return;
+  const std::string_view id = parse_key(item.key).value_or(Key{}).id;
   if (item.channel == Channel::command) {
     Order order;
     if (decode(bytes_of(item), limits, order)) return;
-    if (const auto* spawn = std::get_if<SpawnOrder>(&order)) out.actors[address.id].spawning = *spawn;
+    if (const auto* spawn = std::get_if<SpawnOrder>(&order)) out.actors[std::string(id)].spawning = *spawn;
   } else if (item.channel == Channel::poses) {
     Intents intents;
     if (decode(bytes_of(item), limits, intents)) return;
     for (const Intent& intent : intents.cars) {
       const auto at = out.actors.find(intent.car);
-      if (at != out.actors.end() && at->second.host == address.id) at->second.pose = intent.motion.pose;
+      if (at != out.actors.end() && at->second.host == id) at->second.pose = intent.motion.pose;
     }
   }
 }

@@ -18,7 +18,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 struct Film {
-  Film(const std::string& path, Net* session) : file(path), net(session), root("crumple/1/" + file.head().scene + "/") {
+  Film(const std::string& path, Net* session) : file(path), net(session), root(root_of(file.head().scene)) {
     net_announce(net, (root + "server").c_str());
   }
   // For the viewers the next showing is another server: its ticks begin anew.
@@ -38,19 +38,16 @@ struct Film {
   LatestInputs latest;
 };
 
+void refuse(Film& film, const NetEvent& query, const std::string& sentence) {
+  net_reply(film.net, query.ticket, sentence.data(), sentence.size(), 1);
+}
+
 // The keyframe that the next deltas refer to, whole.
-void answer_key(Film& film, const NetEvent& query) {
-  std::string_view key = query.key;
-  if (key.starts_with(film.root)) key.remove_prefix(film.root.size());
-  const auto refuse = [&](const std::string& sentence) {
-    net_reply(film.net, query.ticket, sentence.data(), sentence.size(), 1);
-  };
-  Address address;
-  if (const Verdict refusal = decode(key, film.file.head().limits, address)) return refuse(refusal->sentence);
-  const auto car = film.cars.find("car/" + address.id);
-  if (car == film.cars.end() || car->second[address.level].key.empty())
-    return refuse("car " + address.id + " does not live at this point of the recording");
-  const client::Surface& surface = car->second[address.level];
+void answer_keyframe(Film& film, const NetEvent& query, const Key& key) {
+  const auto car = film.cars.find("car/" + std::string(key.id));
+  if (car == film.cars.end() || car->second[key.number].key.empty())
+    return refuse(film, query, "car " + std::string(key.id) + " does not live at this point of the recording");
+  const client::Surface& surface = car->second[key.number];
   const auto parts = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key,
                                      static_cast<uint32_t>(surface.key.size() / 3));
   net_reply(film.net, query.ticket, parts.front().data(), parts.front().size(), 0);
@@ -65,12 +62,16 @@ void answer_until(Film& film, Clock::time_point due, const std::atomic<bool>& st
     if (got < 0) throw std::runtime_error(transport_error());
     for (int i = 0; i < got; ++i) {
       if (events[i].kind != NET_QUERY) continue;
-      if (std::string_view(events[i].key).starts_with("crumple/1/asset/"))
-        answer_asset(film.net, events[i], film.file.cars());
-      else if (std::string_view(events[i].key).ends_with("/inputs"))
+      const Key key = parse_key(events[i].key, film.root).value_or(Key{});
+      if (key.channel == Channel::piece)
+        answer_asset(film.net, events[i], key.id, film.file.cars());
+      else if (key.channel == Channel::latest)
         film.latest.answer(film.net, events[i].ticket);
+      else if (key.channel == Channel::keyframe)
+        answer_keyframe(film, events[i], key);
       else
-        answer_key(film, events[i]);
+        refuse(film, events[i],
+               "key " + printable(events[i].key) + " is not answered by the recording of scene " + film.file.head().scene);
     }
   }
 }
@@ -122,9 +123,9 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
 }  // namespace
 
 void play_films(Net* net, const ReplayOptions& options, const std::atomic<bool>& stop) {
-  net_queryable(net, "crumple/1/*/car/*/key/*", 1'000);
-  net_queryable(net, "crumple/1/asset/*", 1'000);
-  net_queryable(net, "crumple/1/*/inputs", 1'000);
+  net_queryable(net, "crumple/1/*/car/*/key/*", 1'000, question_limit);
+  net_queryable(net, "crumple/1/asset/*", 1'000, question_limit);
+  net_queryable(net, "crumple/1/*/inputs", 1'000, question_limit);
   do
     for (const std::string& path : options.files) show(path, options, net, stop);
   while (options.loop && !stop);

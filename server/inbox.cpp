@@ -118,33 +118,34 @@ Verdict take_command(World& world, const std::string& car, const Bytes& bytes, B
 void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& asked) {
   for (const Message& message : inbox) {
     ++world.tally.messages;
-    Address to;
+    const Key key = parse_key(message.key).value_or(Key{});
+    const std::string id(key.id);
     Bytes state;
-    Verdict refusal = decode(message.key, world.limits, to);
+    Verdict refusal;
     bool command = false;
-    if (!refusal) {
-      switch (to.kind) {
-        case Address::Kind::poses:
-          refusal = take_poses(world, to.id, message.bytes);
-          break;
-        case Address::Kind::obstacles:
-          refusal = take_obstacles(world, to.id, message.bytes);
-          break;
-        case Address::Kind::keyframe:
-          asked.push_back({message.key, to.id, to.level, message.ticket});
-          continue;
-        case Address::Kind::budget:
-          refusal = take_budget(world, message.bytes);
-          break;
-        case Address::Kind::asset:
-          refusal = take_asset(world, message.bytes);
-          command = true;
-          break;
-        case Address::Kind::command:
-          refusal = take_command(world, to.id, message.bytes, state);
-          command = true;
-          break;
-      }
+    switch (key.channel) {
+      case Channel::poses:
+        refusal = take_poses(world, id, message.bytes);
+        break;
+      case Channel::obstacles:
+        refusal = take_obstacles(world, id, message.bytes);
+        break;
+      case Channel::keyframe:
+        asked.push_back({message.key, id, size_t(key.number), message.ticket});
+        continue;
+      case Channel::budget:
+        refusal = take_budget(world, message.bytes);
+        break;
+      case Channel::asset:
+        refusal = take_asset(world, message.bytes);
+        command = true;
+        break;
+      case Channel::command:
+        refusal = take_command(world, id, message.bytes, state);
+        command = true;
+        break;
+      default:
+        refusal = Refusal{Reason::bad_key, "key " + printable(message.key) + key_rule};
     }
     if (refusal) count(world, *refusal);
     answer(world, message.key, message.ticket, refusal, state, refusal && !command, outbox);

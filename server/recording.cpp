@@ -6,7 +6,6 @@
 
 #include "schema/message_generated.h"
 #include "wire/decode.h"
-#include "wire/surface.h"
 
 // The schema of all messages, in the file: a recording explains itself to any MCAP tool.
 asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSAGE_BFBS "\"\nmessage_schema_end:\n.popsection");
@@ -57,27 +56,6 @@ void need(int status) {
 
 }  // namespace
 
-Channel channel_of(std::string_view key) {
-  const auto ends = [&](std::string_view end) { return key.ends_with(end); };
-  if (key == "health") return Channel::health;
-  if (key == "budget") return Channel::budget;
-  if (key == "asset") return Channel::asset;
-  if (key == "tick") return Channel::tick_end;
-  if (key.starts_with("host/")) {
-    if (ends("/poses")) return Channel::poses;
-    if (ends("/obstacles")) return Channel::obstacles;
-    if (ends("/reactions")) return Channel::reactions;
-  } else if (key.starts_with("car/")) {
-    const size_t slash = key.find('/', 4);
-    if (slash == std::string_view::npos) return Channel::command;
-    const std::string_view what = key.substr(slash, key.size() - slash - 1);
-    if (what == "/key/" && level_of(key) < surface_levels.size()) return Channel::keyframe;
-    if (what == "/delta/" && level_of(key) < surface_levels.size()) return Channel::delta;
-    if (ends("/answer")) return Channel::answer;
-  }
-  return Channel::other;
-}
-
 const char* table_of(Channel channel) {
   switch (channel) {
     case Channel::poses:
@@ -102,13 +80,12 @@ const char* table_of(Channel channel) {
       return "crumple.schema.Health";
     case Channel::tick_end:
       return "crumple.schema.TickEnd";
-    case Channel::other:
-      break;
+    default:
+      return "";
   }
-  return "";
 }
 
-Recording::Recording(const std::string& path, const RecordingHead& head) : root_("crumple/1/" + head.scene + "/") {
+Recording::Recording(const std::string& path, const RecordingHead& head) : root_(root_of(head.scene)) {
   need(recorder_open(path.c_str(), "crumple", head.program.c_str(), &recorder_));
   std::vector<std::string> pairs = {"program", head.program,       "scene",   head.scene,           "started", head.started,
                                     "rate",    text_of(head.rate), "quantum", text_of(head.quantum)};
@@ -218,7 +195,7 @@ void RecordingReader::read_metadata() {
     if (!good)
       throw std::runtime_error(path_ + ": its metadata lacks the rate, the quantum or a limit: it was recorded by " +
                                head_.program + ", this is " + program_name + ": use that one");
-    root_ = "crumple/1/" + head_.scene + "/";
+    root_ = root_of(head_.scene);
     return;
   }
   throw std::runtime_error(path_ + ": has no metadata \"crumple\": it is not a recording of `crumple serve --record`");

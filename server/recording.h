@@ -19,6 +19,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/key.h"
 #include "transport/transport.h"
 #include "world.h"
 
@@ -44,14 +45,12 @@ struct RecordingHead {
   std::vector<std::shared_ptr<const Car>> given;  // in it
 };
 
-// "poses", "car", ...: which kind of message stands under a key below the scene's root; `other` is none of ours.
-enum class Channel { poses, obstacles, budget, asset, command, reactions, keyframe, delta, answer, health, tick_end, other };
-Channel channel_of(std::string_view key);
+// Of a key below the scene's root; `other` is none of ours.
+inline Channel channel_of(std::string_view key) { return parse_key(key).value_or(Key{}).channel; }
 // Of the key of a keyframe or delta: its surface level.
 inline size_t level_of(std::string_view key) { return size_t(key.back() - '0'); }
 // Its table's name in the schema; "" for other.
 const char* table_of(Channel);
-inline bool is_input(Channel channel) { return channel <= Channel::command; }
 
 // Writes one. Never waits: what the writer's queue cannot take is counted as lost.
 class Recording {

@@ -4,6 +4,8 @@
 
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <csignal>
@@ -19,6 +21,7 @@
 
 #include "answer.h"
 #include "metrics.h"
+#include "protocol/key.h"
 #include "recording.h"
 #include "schema/message_generated.h"
 #include "snapshot.h"
@@ -39,10 +42,9 @@ constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars h
 constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
-constexpr size_t long_asset = size_t{64} << 10;  // what is shorter is no car, and refused at once
-constexpr std::string_view asset_root = "crumple/1/asset/";
-constexpr std::string_view world_key = "replica/world", latest_key = "inputs";
-constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
+constexpr size_t long_asset = size_t{64} << 10;     // what is shorter is no car, and refused at once
+constexpr size_t command_limit = size_t{32} << 20;  // bytes: the state of a car of 100,000 nodes that is loaded
+constexpr uint32_t connect_ms = 10'000;             // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
 constexpr std::chrono::milliseconds look{2000};
 // A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
@@ -70,6 +72,13 @@ struct Pace {
   }
 };
 
+// One that waits. Of the key its channel is known, and the baked car that a piece is asked of.
+struct Query {
+  Channel channel;
+  std::string hash;
+  Message message;
+};
+
 struct Server {
   const ServeOptions& options;
   std::string root;
@@ -84,10 +93,11 @@ struct Server {
   bool closed_badly = false;
   Metrics* metrics = nullptr;
   std::string recording_told;                    // the last sentence about its trouble
-  std::set<std::string, std::less<>> announced;  // cars
-  std::deque<Message> queries;                   // waiting; those for assets with their whole key
+  std::set<std::string, std::less<>> announced;  // "car/{car}" of those that live
+  std::vector<std::string> heard;                // ids of the hosts that a second ago had something
+  std::deque<Query> queries;                     // waiting
   size_t queries_bytes = 0;                      // of them
-  uint64_t queries_refused = 0, samples_oversized = 0;
+  uint64_t queries_refused = 0, keys_refused = 0;
   LatestInputs latest;
   Inbox inbox;
   Outbox outbox;
@@ -232,13 +242,13 @@ void open_network(Server& server) {
   if (!options.metrics.empty()) need(metrics_open(options.metrics.c_str(), &server.metrics));
 }
 
-void watch_owners(Server& server, const NetEvent& event) {
-  if (event.kind != NET_ALIVE) return;
-  const auto other = owner_of(std::string_view(event.key).substr(server.root.size()));
-  server.replaced |= other && *other > server.owner;
+// Only where others could take over: a server that listens alone watches no tokens.
+void watch_owners(Server& server, const Key& key) {
+  server.replaced |= key.channel == Channel::owner && Owner{key.number, std::string(key.id)} > server.owner;
 }
 
-// Waits for the end of the scene's owner, or makes sure that there is none. Returns whether this server is to own the scene.
+// Waits for the end of the scene's owner, or makes sure that there is none: a server that listens alone has no other beside it.
+// Returns whether this server is to own the scene.
 bool become_owner(Server& server, const std::atomic<bool>& stop) {
   if (server.options.standby) {
     const auto epoch = stand_by(server.net, {server.root, server.owner.id, server.threads}, *server.world, stop);
@@ -246,27 +256,29 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
     server.owner.epoch = *epoch;
     return true;
   }
+  if (server.options.connect.empty()) return true;
   need(net_watch(server.net, (server.root + "owner/*").c_str()));
-  const auto until = Clock::now() + (server.options.connect.empty() ? std::chrono::milliseconds(0) : look);
-  while (Clock::now() < until && !stop) {
+  for (const auto until = Clock::now() + look; Clock::now() < until && !stop;) {
     NetEvent events[16];
     const int got = net_poll(server.net, events, 16, 50'000);
     need(got);
     for (int k = 0; k < got; ++k)
-      if (events[k].kind == NET_ALIVE && std::string_view(events[k].key).starts_with(server.root + "owner/"))
+      if (events[k].kind == NET_ALIVE && parse_key(events[k].key, server.root).value_or(Key{}).channel == Channel::owner)
         throw std::runtime_error("scene " + server.options.scene +
                                  " has a server already: wait for its end with --standby, or serve another --scene");
   }
-  if (!stop) need(net_announce(server.net, (server.root + token_of(server.owner)).c_str()));
+  if (!stop) need(net_announce(server.net, (server.root + owner_key(server.owner.epoch, server.owner.id)).c_str()));
   return !stop;
 }
 
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
-    need(net_subscribe(server.net, (server.root + what).c_str(), 0));
-  for (const char* what : {"asset", "car/*", "car/*/key/*", "replica/world", "inputs"})
-    need(net_queryable(server.net, (server.root + what).c_str(), query_limit));
-  need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit));
+    need(net_subscribe(server.net, (server.root + what).c_str(), 0, sample_limit));
+  need(net_queryable(server.net, (server.root + "asset").c_str(), query_limit, given_most + question_limit));
+  need(net_queryable(server.net, (server.root + "car/*").c_str(), query_limit, command_limit));
+  for (const char* what : {"car/*/key/*", "replica/world", "inputs"})
+    need(net_queryable(server.net, (server.root + what).c_str(), query_limit, question_limit));
+  need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit, question_limit));
   need(net_announce(server.net, (server.root + "server").c_str()));
   for (const std::string& car : cars(*server.world)) {
     server.announced.insert("car/" + car);
@@ -274,38 +286,45 @@ void open_scene(Server& server) {
   }
 }
 
-void refuse_query(Server& server, uint64_t ticket) {
-  constexpr std::string_view sentence = "too many questions wait here: ask again later";
+void refuse_query(Server& server, uint64_t ticket, const std::string& sentence) {
   ++server.queries_refused;
   net_reply(server.net, ticket, sentence.data(), sentence.size(), 1);
 }
 
-void take(Server& server, const NetEvent& event) {
-  std::string_view key = event.key ? event.key : "";
-  const bool query = event.kind == NET_QUERY;
-  if (!query && event.kind != NET_SAMPLE) return watch_owners(server, event);
-  if (key.starts_with(server.root))
-    key.remove_prefix(server.root.size());
-  else if (!query || !key.starts_with(asset_root))
-    return;
-  const bool full = server.queries.size() >= query_limit || server.queries_bytes + event.size > query_bytes_limit;
-  if (query && full) return refuse_query(server, event.ticket);
-  if (!query && event.size > sample_limit) {
-    ++server.samples_oversized;
-    return;
+void take_query(Server& server, const NetEvent& event, const Key& key) {
+  constexpr std::array asked = {Channel::asset,  Channel::command, Channel::keyframe,
+                                Channel::latest, Channel::world,   Channel::piece};
+  if (std::find(asked.begin(), asked.end(), key.channel) == asked.end()) {
+    ++server.keys_refused;
+    return refuse_query(
+        server, event.ticket,
+        "nothing is asked under " + printable(event.key) + ": schema/README.md lists the keys; ids are " + id_rule);
   }
-  Message message;
-  message.key = key;
+  if (server.queries.size() >= query_limit || server.queries_bytes + event.size > query_bytes_limit)
+    return refuse_query(server, event.ticket, "too many questions wait here: ask again later");
   const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
-  message.bytes.assign(bytes, bytes + event.size);
-  if (query) {
-    message.ticket = event.ticket;
-    server.queries_bytes += message.bytes.size();
-    server.queries.push_back(std::move(message));
-  } else {
-    server.latest.keep(message);
-    server.inbox.push_back(std::move(message));
+  const std::string_view below = key.channel == Channel::piece ? "" : std::string_view(event.key).substr(server.root.size());
+  server.queries_bytes += event.size;
+  server.queries.push_back({key.channel, std::string(key.id), {std::string(below), {bytes, bytes + event.size}, event.ticket}});
+}
+
+void take_sample(Server& server, const NetEvent& event, const Key& key) {
+  if (key.channel != Channel::poses && key.channel != Channel::obstacles) {
+    ++server.keys_refused;
+    return;
   }
+  const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
+  Message message{event.key + server.root.size(), {bytes, bytes + event.size}};
+  server.latest.keep(message);
+  server.inbox.push_back(std::move(message));
+}
+
+// The door: here a key that came is parsed, once. What it cannot be is refused.
+void take(Server& server, const NetEvent& event) {
+  const Key key = parse_key(event.key, server.root).value_or(Key{});
+  if (event.kind == NET_QUERY) return take_query(server, event, key);
+  if (event.kind == NET_SAMPLE) return take_sample(server, event, key);
+  if (event.kind == NET_ALIVE) return watch_owners(server, key);
 }
 
 std::vector<std::shared_ptr<const Car>> all_cars(const Server& server) {
@@ -318,24 +337,21 @@ std::vector<std::shared_ptr<const Car>> all_cars(const Server& server) {
 void admit_queries(Server& server) {
   Inbox admitted;
   for (int left = queries_pay; !server.queries.empty(); server.queries.pop_front()) {
-    Message& next = server.queries.front();
-    const Channel channel = channel_of(next.key);
-    const bool long_one = next.key == latest_key || (channel == Channel::asset && next.bytes.size() > long_asset);
+    auto& [channel, hash, next] = server.queries.front();
+    const bool long_one = channel == Channel::latest || (channel == Channel::asset && next.bytes.size() > long_asset);
     left -= long_one ? queries_pay : channel == Channel::keyframe ? keyframe_costs : other_query_costs;
     if (left < 0) break;
     server.queries_bytes -= next.bytes.size();
-    if (next.key == latest_key) {
+    const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
+    const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
+    if (channel == Channel::latest)
       server.latest.answer(server.net, next.ticket);
-    } else if (next.key.starts_with(asset_root) || next.key == world_key) {
-      const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
-      const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
-      if (next.key == world_key)
-        server.world_answers.answer(server.net, query, *server.world);
-      else
-        answer_asset(server.net, query, all_cars(server));
-    } else {
+    else if (channel == Channel::world)
+      server.world_answers.answer(server.net, query, *server.world);
+    else if (channel == Channel::piece)
+      answer_asset(server.net, query, hash, all_cars(server));
+    else
       admitted.push_back(std::move(next));
-    }
   }
   server.inbox.insert(server.inbox.begin(), std::make_move_iterator(admitted.begin()), std::make_move_iterator(admitted.end()));
 }
@@ -357,7 +373,7 @@ void collect(Server& server, Clock::time_point due) {
 }
 
 // Viewers learn from its token that a car lives. A car shows itself by its first keyframe, and goes by a Despawn that was
-// answered with ok.
+// answered with ok; then nothing is published on its keys any more.
 void announce_cars(Server& server) {
   for (const Message& message : server.outbox) {
     const Channel channel = channel_of(message.key);
@@ -369,8 +385,10 @@ void announce_cars(Server& server) {
       for (const Message& asked : server.inbox) {
         if (asked.ticket != message.ticket) continue;
         const auto order = flatbuffers::GetRoot<schema::Command>(asked.bytes.data())->order_type();
-        if (order == schema::Order::Despawn && server.announced.erase(message.key) > 0)
+        if (order == schema::Order::Despawn && server.announced.erase(message.key) > 0) {
           net_retract(server.net, (server.root + message.key).c_str());
+          net_withdraw(server.net, (server.root + message.key + "/").c_str());
+        }
       }
     }
   }
@@ -420,7 +438,8 @@ void publish_health(Server& server) {
                                  {"received_bytes", stats.received_bytes},
                                  {"received_dropped", stats.received_dropped},
                                  {"replaced", stats.replaced},
-                                 {"oversized", server.samples_oversized},
+                                 {"oversized", stats.oversized},
+                                 {"keys_refused", server.keys_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
                                  {"recording_lost", lost(server)}});
@@ -459,6 +478,16 @@ void tell_recording(Server& server) {
   server.recording_told = trouble;
 }
 
+// Of those that have nothing in the scene any more neither what they told last is kept, nor the keys of what they were told.
+void forget_hosts(Server& server) {
+  std::vector<std::string> now = hosts(*server.world);
+  for (const std::string& host : server.heard)
+    if (!std::binary_search(now.begin(), now.end(), host))
+      net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
+  server.latest.forget_others(now);
+  server.heard = std::move(now);
+}
+
 void run(Server& server, const std::atomic<bool>& stop) {
   const auto period = std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1 / server.options.rate));
   const auto slack = std::chrono::duration_cast<Clock::duration>(late_share * period);
@@ -479,7 +508,7 @@ void run(Server& server, const std::atomic<bool>& stop) {
     if (now < next_health) continue;
     next_health += std::chrono::seconds(1);
     publish_health(server);
-    server.latest.forget_others(hosts(*server.world));
+    forget_hosts(server);
     tell_refusals(server, told);
     if (!server.recording) continue;
     tell_recording(server);
@@ -542,7 +571,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   Server server(options);
-  server.root = "crumple/1/" + options.scene + "/";
+  server.root = root_of(options.scene);
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   server.pace.limit = 1e-3 * options.budget_ms;
   check_names(options);

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "answer.h"
+#include "protocol/key.h"
 #include "recording.h"
 #include "schema/message_generated.h"
 #include "snapshot.h"
@@ -18,14 +19,16 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr uint32_t inputs_depth = 4096;             // ticks that may wait while the world is fetched: a minute
-constexpr size_t ticks_at_once = 256;               // when they catch up, between two looks at the network
-constexpr std::chrono::seconds first_look{2};       // no owner is seen within this of the first link: so there is none
-constexpr std::chrono::seconds precedence{2};       // that another has to take over before this one
-constexpr std::chrono::milliseconds settling{200};  // until it is known whether the owner is gone or the own line is cut
+constexpr uint32_t inputs_depth = 4096;                 // ticks that may wait while the world is fetched: a minute
+constexpr size_t inputs_size_limit = size_t{64} << 20;  // bytes of one tick's: what a message may have
+constexpr size_t ticks_at_once = 256;                   // when they catch up, between two looks at the network
+constexpr std::chrono::seconds first_look{2};           // no owner is seen within this of the first link: so there is none
+constexpr std::chrono::seconds precedence{2};           // that another has to take over before this one
+constexpr std::chrono::milliseconds settling{200};      // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
 constexpr size_t world_piece = size_t{4} << 20;                 // bytes, below the limit of a message
+constexpr size_t servers_limit = 64;                            // tokens of owners, and of those that stand by, in one scene
 constexpr uint32_t answer_ms = 30'000;                          // for a piece: over 1.2 Mb/s
 // Of the owner.
 constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
@@ -40,8 +43,8 @@ struct Standby {
   const StandbyOptions& options;
   World& world;
   std::set<Owner> owners = {};
-  std::set<std::string> names = {};  // of all that stand by, this one among them
-  std::string name = {};             // "0-{id}" while it holds the owner's world, else "1-{id}": the lowest takes over
+  std::set<std::string> tokens = {};                // of all that stand by, this one among them
+  std::string token = {};                           // rank 0 while it holds the owner's world, else 1: the lowest takes over
   std::deque<std::vector<std::byte>> waiting = {};  // Inputs
   bool same = false;                                // the world is the owner's, as of its tick
   uint64_t epoch = 0;                               // the latest seen
@@ -57,12 +60,12 @@ struct Standby {
 
 // In the token stands whether this one holds the world: one that does goes before one that does not.
 void announce(Standby& standby) {
-  const std::string name = (standby.same ? "0-" : "1-") + standby.options.id;
-  if (name == standby.name) return;
-  const std::string root = standby.options.root + "standby/";
-  if (!standby.name.empty()) need(net_retract(standby.net, (root + standby.name).c_str()));
-  standby.name = name;
-  need(net_announce(standby.net, (root + name).c_str()));
+  const std::string token = standby_key(standby.same ? 0 : 1, standby.options.id);
+  if (token == standby.token) return;
+  const std::string& root = standby.options.root;
+  if (!standby.token.empty()) need(net_retract(standby.net, (root + standby.token).c_str()));
+  standby.token = token;
+  need(net_announce(standby.net, (root + token).c_str()));
 }
 
 void ask_for_world(Standby& standby, uint64_t offset) {
@@ -133,32 +136,33 @@ void follow(Standby& standby) {
   }
 }
 
-void take_token(Standby& standby, std::string_view key, bool alive) {
-  if (const auto owner = owner_of(key)) {
-    if (alive) {
-      standby.owners.insert(*owner);
-      standby.epoch = std::max(standby.epoch, owner->epoch);
+void take_token(Standby& standby, const Key& key, bool alive) {
+  if (key.channel == Channel::owner) {
+    const Owner owner{key.number, std::string(key.id)};
+    if (!alive) {
+      standby.owners.erase(owner);
+    } else if (standby.owners.size() < servers_limit && standby.owners.insert(owner).second) {
+      standby.epoch = std::max(standby.epoch, owner.epoch);
       standby.same = false;  // of an owner that is new nothing is known
-    } else {
-      standby.owners.erase(*owner);
     }
     if (standby.owners.empty()) standby.alone = Clock::now();
-  } else if (key.starts_with("standby/")) {
-    const std::string name(key.substr(8));
-    alive ? (void)standby.names.insert(name) : (void)standby.names.erase(name);
+  } else if (key.channel == Channel::standby) {
+    const std::string token = standby_key(key.number, key.id);
+    if (!alive)
+      standby.tokens.erase(token);
+    else if (standby.tokens.size() < servers_limit)
+      standby.tokens.insert(token);
   }
 }
 
 void take(Standby& standby, const NetEvent& event) {
-  std::string_view key = event.key ? event.key : "";
   if (event.kind == NET_REPLY && event.ticket == standby.asking) return take_world(standby, event);
   if (event.kind == NET_REPLY_END && event.ticket == standby.asking) {
     standby.asking = 0;  // without an answer
     ask_later(standby);
   }
-  if (!key.starts_with(standby.options.root)) return;
-  key.remove_prefix(standby.options.root.size());
-  if (event.kind == NET_SAMPLE) {
+  const Key key = parse_key(event.key, standby.options.root).value_or(Key{});
+  if (event.kind == NET_SAMPLE && key.channel == Channel::replica_inputs) {
     const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
     standby.waiting.emplace_back(bytes, bytes + event.size);
     if (!standby.same && standby.waiting.size() > inputs_depth) standby.waiting.pop_front();
@@ -178,7 +182,7 @@ bool takes_over(Standby& standby) {
     standby.linked = false;
     return false;
   }
-  const bool first = standby.names.empty() || standby.name <= *standby.names.begin();
+  const bool first = standby.tokens.empty() || standby.token <= *standby.tokens.begin();
   Clock::duration wait = settling;
   if (!standby.linked) wait += first_look;
   if (!first || (standby.epoch > 0 && !standby.same)) wait += precedence;
@@ -186,18 +190,6 @@ bool takes_over(Standby& standby) {
 }
 
 }  // namespace
-
-std::string token_of(const Owner& owner) { return "owner/" + std::to_string(owner.epoch) + "-" + owner.id; }
-
-std::optional<Owner> owner_of(std::string_view key) {
-  if (!key.starts_with("owner/")) return std::nullopt;
-  key.remove_prefix(6);
-  Owner owner;
-  const auto [end, error] = std::from_chars(key.data(), key.data() + key.size(), owner.epoch);
-  if (error != std::errc() || end == key.data() + key.size() || *end != '-') return std::nullopt;
-  owner.id = key.substr(size_t(end - key.data()) + 1);
-  return owner;
-}
 
 std::string random_id() {
   std::random_device device;
@@ -269,7 +261,7 @@ void WorldAnswers::answer(Net* net, const NetEvent& query, const World& world) {
 std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World& world, const std::atomic<bool>& stop) {
   Standby standby{net, options, world};
   standby.asker = std::hash<std::string>()(options.id);
-  need(net_subscribe(net, (options.root + "replica/inputs").c_str(), inputs_depth));
+  need(net_subscribe(net, (options.root + "replica/inputs").c_str(), inputs_depth, inputs_size_limit));
   for (const char* what : {"owner/*", "standby/*"}) need(net_watch(net, (options.root + what).c_str()));
   while (!stop) {
     announce(standby);
@@ -284,8 +276,9 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
   }
   if (stop) return std::nullopt;
   // In this order: of others that stand by the next one would take over as soon as this one does not.
-  need(net_announce(net, (options.root + token_of({standby.epoch + 1, options.id})).c_str()));
-  need(net_retract(net, (options.root + "standby/" + standby.name).c_str()));
+  const uint64_t epoch = std::min(standby.epoch, epoch_limit - 1) + 1;
+  need(net_announce(net, (options.root + owner_key(epoch, options.id)).c_str()));
+  need(net_retract(net, (options.root + standby.token).c_str()));
   if (standby.epoch > 0) {
     std::printf("takes over at tick %llu, %zu cars, after %llu ticks beside the owner%s\n",
                 static_cast<unsigned long long>(tick_count(world)), cars(world).size(),
@@ -293,7 +286,7 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
                 standby.same ? "" : "; it did not hold the owner's last ticks");
     std::fflush(stdout);
   }
-  return standby.epoch + 1;
+  return epoch;
 }
 
 }  // namespace crumple

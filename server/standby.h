@@ -23,9 +23,6 @@ struct Owner {
   std::string id;
   friend auto operator<=>(const Owner&, const Owner&) = default;
 };
-std::string token_of(const Owner&);  // below the scene's root
-// Of a key below the scene's root; nothing if it is no owner's.
-std::optional<Owner> owner_of(std::string_view key);
 std::string random_id();
 
 // ---- of the owner ----

@@ -129,8 +129,7 @@ struct Asked {
 
 // Levels of an asset; null where it is unknown.
 const Levels* find_asset(const World&, const std::string& hash);
-// One more that may be spawned (given.cpp), of so many bytes at most: one of 20,000 nodes has them.
-inline constexpr size_t given_most = size_t{8} << 20;
+// One more that may be spawned (given.cpp).
 [[nodiscard]] Verdict give(World&, std::shared_ptr<const Car>);
 // Takes the messages in, in order (inbox.cpp).
 void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);

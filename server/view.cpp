@@ -26,6 +26,7 @@
 #include "answer.h"
 #include "control.h"
 #include "film.h"
+#include "protocol/key.h"
 #include "recording.h"
 #include "schema/message_generated.h"
 #include "transport/transport.h"
@@ -46,7 +47,6 @@ constexpr size_t sample_limit = size_t{1} << 20;  // bytes
 // Assets: those of the cars that live, and of those before them the newest few, for pages that are behind. Together they have
 // so many bytes (one of 10,000 nodes has 4 MB), with control twice.
 constexpr size_t spare_limit = 8, assets_limit = size_t{1} << 30;
-constexpr std::string_view asset_root = "crumple/1/asset/";
 
 struct WatchedCar {
   uint64_t life = 0;                // so that browsers know it from the next of its id
@@ -112,15 +112,15 @@ void tell_alive(Gateway& gateway) {
   set(gateway, "alive", {reinterpret_cast<const uint8_t*>(lines.data()), lines.size()});
 }
 
-void take_liveliness(Gateway& gateway, std::string_view key, bool alive) {
-  if (key == "server") {
+void take_liveliness(Gateway& gateway, const Key& key, bool alive) {
+  if (key.channel == Channel::server) {
     gateway.server = alive;
     gateway.hosts.clear();
     need(web_forget(gateway.web, "host/"));
     gateway.late = alive;
     gateway.asking = 0;
-  } else {
-    const std::string id(key.substr(4));
+  } else if (key.channel == Channel::command) {
+    const std::string id(key.id);
     gateway.cars.erase(id);
     need(web_forget(gateway.web, ("car/" + id + "/").c_str()));
     if (alive && gateway.cars.size() < car_limit) gateway.cars[id].life = ++gateway.lives;
@@ -214,7 +214,7 @@ void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std
   if (message->count() == message->node_count()) car.wanted = false;
   const uint32_t first = message->first();
   set(gateway, "car/" + id + "/key/0" + (first > 0 ? "/" + std::to_string(first) : ""), bytes);
-  if (message->asset()->size() != 16) return;
+  if (!is_hash(message->asset()->string_view())) return;
   car.asset = message->asset()->str();
   want_asset(gateway, car.asset);
 }
@@ -268,21 +268,22 @@ void take_health(Gateway& gateway, std::span<const uint8_t> bytes) {
   }
 }
 
-void take_sample(Gateway& gateway, std::string_view key, std::span<const uint8_t> bytes) {
-  if (key == "health") return take_health(gateway, bytes);
-  const size_t slash = key.find('/', 5);
-  if (slash == key.npos) return;
-  const std::string_view who = key.substr(0, slash), what = key.substr(slash + 1);
-  if (who.starts_with("host/")) {
-    if (what == "reactions") return take_reactions(gateway, bytes);
-    if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(key))) return;
-    gateway.hosts.emplace(key);
-    return set(gateway, std::string(key), bytes);
-  }
-  const auto at = gateway.cars.find(who.substr(4));
+void take_told(Gateway& gateway, std::string_view below, std::span<const uint8_t> bytes) {
+  if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(below))) return;
+  gateway.hosts.emplace(below);
+  set(gateway, std::string(below), bytes);
+}
+
+// below: the key below the scene's root, which `key` was parsed of.
+void take_sample(Gateway& gateway, const Key& key, std::string_view below, std::span<const uint8_t> bytes) {
+  if (key.channel == Channel::health) return take_health(gateway, bytes);
+  if (key.channel == Channel::reactions) return take_reactions(gateway, bytes);
+  if (key.channel == Channel::poses || key.channel == Channel::obstacles) return take_told(gateway, below, bytes);
+  if ((key.channel != Channel::keyframe && key.channel != Channel::delta) || key.number != 0) return;
+  const auto at = gateway.cars.find(key.id);
   if (at == gateway.cars.end()) return;  // its token brings it, and the question for its keyframe
   at->second.heard = Clock::now();
-  if (what == "key/0")
+  if (key.channel == Channel::keyframe)
     take_keyframe(gateway, at->first, at->second, bytes);
   else
     take_delta(gateway, at->first, at->second, bytes);
@@ -294,9 +295,10 @@ void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
   if (!message) return;
   gateway.late = false;
   for (const auto* input : *message->inputs()) {
-    const std::string_view key = input->key()->string_view();
-    if (key.starts_with("host/") && !gateway.hosts.contains(key))
-      take_sample(gateway, key, {input->payload()->data(), input->payload()->size()});
+    const std::string_view below = input->key()->string_view();
+    const Channel channel = parse_key(below).value_or(Key{}).channel;
+    if ((channel == Channel::poses || channel == Channel::obstacles) && !gateway.hosts.contains(below))
+      take_told(gateway, below, {input->payload()->data(), input->payload()->size()});
   }
 }
 
@@ -328,13 +330,13 @@ void take_reply(Gateway& gateway, const NetEvent& event, std::span<const uint8_t
 void take(Gateway& gateway, const NetEvent& event) {
   const std::span<const uint8_t> bytes(event.data, event.size);
   if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) return take_reply(gateway, event, bytes);
-  std::string_view key = event.key ? event.key : "";
-  if (!key.starts_with(gateway.root)) return;
-  key.remove_prefix(gateway.root.size());
+  const std::string_view whole = event.key;
+  const auto key = parse_key(whole, gateway.root);
+  if (!key || key->channel == Channel::piece) return;
   if (event.kind == NET_SAMPLE)
-    take_sample(gateway, key, bytes);
-  else if (key == "server" || key.starts_with("car/"))
-    take_liveliness(gateway, key, event.kind == NET_ALIVE);
+    take_sample(gateway, *key, whole.substr(gateway.root.size()), bytes);
+  else
+    take_liveliness(gateway, *key, event.kind == NET_ALIVE);
 }
 
 void ask(Gateway& gateway) {
@@ -459,7 +461,7 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
     player.start(options);
     connect = net_endpoint(player.net);
   }
-  gateway.root = "crumple/1/" + scene + "/";
+  gateway.root = root_of(scene);
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &gateway.net));
   if (options.control) {
@@ -471,9 +473,9 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
     gateway.control.emplace(gateway.net, gateway.web, gateway.root, shown, painted);
   }
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
-    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096));
+    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 4'096, sample_limit));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
-    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 0));
+    need(net_subscribe(gateway.net, (gateway.root + key).c_str(), 0, sample_limit));
   for (const char* key : {"server", "car/*"}) need(net_watch(gateway.net, (gateway.root + key).c_str()));
   std::printf("scene %s of %s: open http://%s/ in a browser\n", scene.c_str(),
               options.files.empty() ? connect.c_str() : options.files[0].c_str(), address.c_str());

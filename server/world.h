@@ -34,6 +34,8 @@ using WorldHandle = std::unique_ptr<World, WorldDeleter>;
 WorldHandle make_world(double rate, float quantum, const Limits& = {});
 // A car that may be spawned from now on; to be called between ticks. Assets with the same surface are levels of one car.
 void add_asset(World&, std::shared_ptr<const Car>);
+// Bytes of one that comes by a message: one of 20,000 nodes has them.
+inline constexpr size_t given_most = size_t{8} << 20;
 // Those that came by messages ("asset"). A tick that takes one of 5,000 nodes is some 5 ms longer.
 std::vector<std::shared_ptr<const Car>> given_cars(const World&);
 // How many levels below it an asset has.

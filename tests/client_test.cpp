@@ -297,7 +297,7 @@ struct OwnServer {
     Net* opened = nullptr;
     ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), TRANSPORT_OK) << transport_error();
     net.reset(opened);
-    ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key/*", 16), TRANSPORT_OK);
+    ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/a/key/*", 16, NET_LONGEST), TRANSPORT_OK);
     ASSERT_EQ(net_announce(opened, "crumple/1/main/server"), TRANSPORT_OK);
     if (announced) {
       ASSERT_EQ(net_announce(opened, "crumple/1/main/car/a"), TRANSPORT_OK);

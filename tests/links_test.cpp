@@ -146,7 +146,7 @@ TEST_F(Links, AKeyframeThatDoesNotComeIsAskedForAgain) {
   Net* opened = nullptr;
   ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
   const Router silent(opened, net_close);
-  ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/box/key/0", 16), 0);
+  ASSERT_EQ(net_queryable(opened, "crumple/1/main/car/box/key/0", 16, NET_LONGEST), 0);
   for (const char* token : {"crumple/1/main/server", "crumple/1/main/car/box"}) ASSERT_EQ(net_announce(opened, token), 0);
   endpoint = net_endpoint(opened);
   Crumple* viewer = open();

@@ -61,7 +61,7 @@ class Operate : public Program {
   static std::map<std::string, uint64_t> counts_when(const Session& net,
                                                      const std::function<bool(std::map<std::string, uint64_t>&)>& condition) {
     std::map<std::string, uint64_t> counts;
-    EXPECT_EQ(net_subscribe(net.get(), "crumple/1/main/health", 0), 0);
+    EXPECT_EQ(net_subscribe(net.get(), "crumple/1/main/health", 0, NET_LONGEST), 0);
     bool good = false;
     const auto see = [&](const NetEvent& event) {
       if (good || event.kind != NET_SAMPLE) return;

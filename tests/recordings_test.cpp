@@ -148,7 +148,7 @@ class Recorded : public Program {
   // As anybody on the network sees the server: its health.
   void listen() {
     ASSERT_EQ(net_open("client", nullptr, endpoint.c_str(), nullptr, 30'000, &net), 0) << transport_error();
-    ASSERT_EQ(net_subscribe(net, "crumple/1/main/health", 0), 0);
+    ASSERT_EQ(net_subscribe(net, "crumple/1/main/health", 0, NET_LONGEST), 0);
   }
   void TearDown() override {
     if (net) net_close(net);

@@ -20,7 +20,7 @@ namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 72 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 80 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);
@@ -98,7 +98,7 @@ int put(const Session& net, const char* key, const std::string& data, NetPriorit
 
 TEST(Net, DeliversSamplesOfAllKeysInTheOrderTheyWerePut) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/*", 1000), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/*", 1000, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/a") && wait_for_subscriber(server, "t/b"));
   for (int i = 0; i < 400; ++i) ASSERT_EQ(put(server, i % 2 ? "t/a" : "t/b", std::to_string(i)), TRANSPORT_OK);
   const std::vector<Kept> events = collect(client, 400);
@@ -114,7 +114,7 @@ TEST(Net, DeliversSamplesOfAllKeysInTheOrderTheyWerePut) {
 
 TEST(Net, DeliversMessagesOfEverySizeUpToTheLimit) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/size", 100), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/size", 100, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/size"));
   for (const size_t size : {size_t{0}, size_t{1}, size_t{65535}, size_t{65536}, size_t{1000000}, size_t{8} << 20}) {
     std::string data(size, '\0');
@@ -130,7 +130,7 @@ TEST(Net, DeliversMessagesOfEverySizeUpToTheLimit) {
 
 TEST(Net, KeepsOnlyTheLatestSampleOfEachKeyWhereAsked) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/*", 0), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/*", 0, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/0"));
   for (int i = 0; i < 99; ++i) {
     ASSERT_EQ(put(server, ("t/" + std::to_string(i % 3)).c_str(), std::to_string(i)), TRANSPORT_OK);
@@ -148,7 +148,7 @@ TEST(Net, KeepsOnlyTheLatestSampleOfEachKeyWhereAsked) {
 
 TEST(Net, RefusesAndCountsWhatABoundedQueueCannotHold) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/q", 8), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/q", 8, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/q"));
   for (int i = 0; i < 50; ++i) ASSERT_EQ(put(server, "t/q", std::to_string(i)), TRANSPORT_OK);
   ASSERT_TRUE(wait_until(server, [&] { return stats_of(client).received_dropped == 42; })) << stats_of(client).received_dropped;
@@ -163,7 +163,7 @@ TEST(Net, RefusesAndCountsWhatABoundedQueueCannotHold) {
 
 TEST(Net, FillsNoMoreThanTheCapacityAndKeepsTheRest) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/c", 100), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/c", 100, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/c"));
   for (int i = 0; i < 5; ++i) ASSERT_EQ(put(server, "t/c", std::to_string(i)), TRANSPORT_OK);
   ASSERT_TRUE(wait_until(server, [&] { return stats_of(client).received == 5; }));
@@ -177,7 +177,7 @@ TEST(Net, KnowsWhetherSomebodySubscribes) {
   const Session server = open_peer();
   EXPECT_EQ(net_matching(server.get(), "t/m"), 0);
   Session client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/*", 1), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/*", 1, NET_LONGEST), TRANSPORT_OK);
   EXPECT_TRUE(wait_for_subscriber(server, "t/m"));
   client.reset();
   EXPECT_TRUE(wait_until(server, [&] { return net_matching(server.get(), "t/m") == 0; }));
@@ -185,9 +185,10 @@ TEST(Net, KnowsWhetherSomebodySubscribes) {
 
 TEST(Net, HearsNothingMoreOfWhatItUnsubscribedAndMaySubscribeAgain) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/rest", 8), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/rest", 8, NET_LONGEST), TRANSPORT_OK);
   for (int k = 0; k < 3; ++k) {
-    ASSERT_EQ(net_subscribe(client.get(), "t/u", k == 0 ? 0 : 8), TRANSPORT_OK);  // its place in the inbox is taken again
+    ASSERT_EQ(net_subscribe(client.get(), "t/u", k == 0 ? 0 : 8, NET_LONGEST),
+              TRANSPORT_OK);  // its place in the inbox is taken again
     ASSERT_TRUE(wait_for_subscriber(server, "t/u") && wait_for_subscriber(server, "t/rest"));
     const uint64_t before = stats_of(client).received;
     for (const char* each : {"heard", "heard as well"}) ASSERT_EQ(put(server, "t/u", each), TRANSPORT_OK);
@@ -205,11 +206,11 @@ TEST(Net, HearsNothingMoreOfWhatItUnsubscribedAndMaySubscribeAgain) {
 
 TEST(Net, DoesNotHearItself) {
   const Session server = open_peer();
-  ASSERT_EQ(net_subscribe(server.get(), "t/**", 10), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(server.get(), "t/**", 10, NET_LONGEST), TRANSPORT_OK);
   for (int i = 0; i < 10; ++i) EXPECT_EQ(net_matching(server.get(), "t/self"), 0);
   ASSERT_EQ(put(server, "t/self", "x"), TRANSPORT_OK);
   const Session client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/self", 10), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/self", 10, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/self"));
   ASSERT_EQ(put(server, "t/self", "y"), TRANSPORT_OK);
   ASSERT_EQ(collect(client, 1).size(), 1u);
@@ -242,7 +243,7 @@ std::vector<Kept> ask(const Session& asker, const Session& answerer, const char*
 
 TEST(Net, AnswersAQueryAndThenSaysThatItWasTheLast) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_queryable(server.get(), "q/car", 4), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/car", 4, NET_LONGEST), TRANSPORT_OK);
   std::vector<Kept> answers = ask(client, server, "q/car", "spawn", 0);
   ASSERT_EQ(answers.size(), 2u);
   EXPECT_EQ(answers[0].kind, NET_REPLY);
@@ -267,7 +268,7 @@ TEST(Net, EndsAQuestionThatNobodyAnswers) {
   EXPECT_EQ(events[0].ticket, ticket);
 
   // A queryable that takes the question and stays silent: zenoh reports the timeout as a failed answer, then comes the end.
-  ASSERT_EQ(net_queryable(server.get(), "q/silent", 4), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/silent", 4, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/silent", "known", 0).size(), 2u);
   ASSERT_EQ(net_get(client.get(), "q/silent", nullptr, 0, 100, &ticket), TRANSPORT_OK);
   events.clear();
@@ -285,7 +286,7 @@ TEST(Net, EndsAQuestionThatNobodyAnswers) {
 
 TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_queryable(server.get(), "q/busy", 1), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/busy", 1, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/busy", "known", 0).size(), 2u);
   uint64_t first = 0, second = 0;
   ASSERT_EQ(net_get(client.get(), "q/busy", "1", 1, 10000, &first), TRANSPORT_OK);
@@ -301,7 +302,7 @@ TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
 
 TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_queryable(server.get(), "q/long", 100), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/long", 100, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/long", "known", 0).size(), 2u);
   const std::string data(size_t{60} << 20, 'x');  // four of them are 240 of 256 MiB
   uint64_t ticket = 0;
@@ -324,7 +325,7 @@ TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
 
 TEST(Net, AnswersEachTicketOnce) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_queryable(server.get(), "q/once", 4), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/once", 4, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/once", "known", 0).size(), 2u);
   uint64_t ticket = 0;
   ASSERT_EQ(net_get(client.get(), "q/once", "1", 1, 10000, &ticket), TRANSPORT_OK);
@@ -372,8 +373,8 @@ TEST(Net, TakesAnAnnouncementBack) {
 TEST(Net, ClosesEitherEndWhileTrafficFlows) {
   Session server = open_peer();
   Session stays = open_client(server), leaves = open_client(server);
-  ASSERT_EQ(net_subscribe(stays.get(), "t/flow", 100), TRANSPORT_OK);
-  ASSERT_EQ(net_subscribe(leaves.get(), "t/flow", 100), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(stays.get(), "t/flow", 100, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(leaves.get(), "t/flow", 100, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/flow"));
   std::atomic<bool> stop{false};
   std::thread pump([&] {
@@ -391,7 +392,7 @@ TEST(Net, ClosesEitherEndWhileTrafficFlows) {
 
 TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
   const Session server = open_peer(), client = open_client(server);
-  ASSERT_EQ(net_subscribe(client.get(), "t/fast", 1), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/fast", 1, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(server, "t/fast"));
   const std::string data(size_t{4} << 20, 'x');
   int status = TRANSPORT_OK;
@@ -426,7 +427,7 @@ TEST(Net, RefusesBadArgumentsWithASentence) {
   EXPECT_EQ(net_put(peer.get(), "a", nullptr, 1, NET_DATA), TRANSPORT_BAD_ARGUMENT);
   EXPECT_EQ(net_put(peer.get(), "a", "x", 1, static_cast<NetPriority>(3)), TRANSPORT_BAD_ARGUMENT);
   EXPECT_EQ(net_put(nullptr, "a", "x", 1, NET_DATA), TRANSPORT_BAD_ARGUMENT);
-  EXPECT_EQ(net_subscribe(peer.get(), "a//b", 1), TRANSPORT_BAD_ARGUMENT);
+  EXPECT_EQ(net_subscribe(peer.get(), "a//b", 1, NET_LONGEST), TRANSPORT_BAD_ARGUMENT);
   EXPECT_EQ(net_announce(peer.get(), "a/*"), TRANSPORT_BAD_ARGUMENT);
   EXPECT_EQ(net_poll(peer.get(), nullptr, 1, 0), TRANSPORT_BAD_ARGUMENT);
 }
@@ -458,7 +459,7 @@ TEST(Net, SaysWhichEndpointItCannotUse) {
 TEST(Net, TakesTheCallersConfigurationOverItsOwn) {
   const Session server = open_peer();
   const Session client = open_client(server, "{ transport: { link: { tx: { lease: 5000 } } }, /* a comment */ }");
-  ASSERT_EQ(net_subscribe(client.get(), "t/conf", 1), TRANSPORT_OK);
+  ASSERT_EQ(net_subscribe(client.get(), "t/conf", 1, NET_LONGEST), TRANSPORT_OK);
   EXPECT_TRUE(wait_for_subscriber(server, "t/conf"));
   Net* net = nullptr;  // the overlay reaches what the arguments set as well
   EXPECT_EQ(net_open("client", nullptr, net_endpoint(server.get()), "{ connect: { endpoints: [\"x\"] } }", 100, &net),

@@ -282,25 +282,6 @@ TEST(Decode, GivesBackTheStateThatWasEncoded) {
   expect_refused<Order>(host::load(encode_state(asset, body)), Reason::non_finite, "load.state.absorbed");
 }
 
-TEST(Decode, KnowsItsKeysAndNoOthers) {
-  const auto kind_of = [](const char* key) {
-    Address address;
-    const Verdict refusal = decode(key, Limits{}, address);
-    return refusal ? std::string(reason_names[size_t(refusal->reason)]) : address.id + ' ' + std::to_string(int(address.kind));
-  };
-  EXPECT_EQ(kind_of("host/game/poses"), "game 0");
-  EXPECT_EQ(kind_of("host/game/obstacles"), "game 1");
-  EXPECT_EQ(kind_of("car/a-1"), "a-1 2");
-  EXPECT_EQ(kind_of("car/a_1/key/0"), "a_1 3");
-  EXPECT_EQ(kind_of("car/a_1/key/1"), "a_1 3");
-  for (const char* key : {"", "car", "host", "host/game", "host/game/reactions", "car/a/delta/0", "car/a/", "health",
-                          "car/a/key", "car/a/key/", "car/a/key/2", "car/a/key//", "car/a/key/*", "car/a/key/00", "/"}) {
-    EXPECT_EQ(kind_of(key), "bad_key") << key;
-  }
-  for (const char* key : {"car/", "host//poses", "car/*", "car/a b", "car/\x01/key/0"})
-    EXPECT_EQ(kind_of(key), "bad_id") << key;
-}
-
 TEST(Surface, RoundsHalfAwayFromZeroAndClamps) {
   const std::vector<Vec3> displacement = {{0.5f, -0.5f, 0.49f}, {1e6f, -1e6f, 2.5f}};
   std::vector<int16_t> quanta(6);

@@ -11,6 +11,7 @@
 #include <cstring>
 #include <utility>
 
+#include "protocol/key.h"
 #include "schema/car_generated.h"
 #include "schema/message_generated.h"
 
@@ -63,7 +64,7 @@ void forget_question(Crumple& session, FollowedCar& car) {
 }
 
 void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
-  const std::string key = "crumple/1/asset/" + hash;
+  const std::string key = std::string(asset_root) + hash;
   const uint64_t offset = asset.size;
   const auto timeout = static_cast<uint32_t>(std::max(session.timeout, asset_patience).count());
   if (net_get(session.net, key.c_str(), &offset, sizeof offset, timeout, &asset.asking) != 0)
@@ -76,7 +77,7 @@ void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
 FollowedCar* followed(Crumple& session, std::string_view id) {
   auto at = session.cars.find(id);
   if (at == session.cars.end()) {
-    if (session.level == none || !is_id(std::string(id).c_str())) return nullptr;
+    if (session.level == none) return nullptr;
     at = session.cars.try_emplace(std::string(id)).first;
     at->second.level = session.level;
   }
@@ -120,7 +121,7 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   if (!message) return refuse(session, "reactions are not a well-formed FlatBuffers table");
   session.clock.take(message->tick());
   for (const auto* from : *message->cars()) {
-    if (!is_id(from->car()->c_str()) || session.names.size() > 100'000) {
+    if (!crumple::is_id(from->car()->string_view()) || session.names.size() > 100'000) {
       refuse(session, "a reaction names a car that can have no such id, or there are over 100000 cars");
       continue;
     }
@@ -265,21 +266,14 @@ void take_asset(Crumple& session, const std::string& hash, Asset& asset, std::sp
   asset.whole = asset.trouble.empty();
 }
 
-// "car/{id}/key/0" -> id; nothing if the key has another form.
-std::string_view car_of(std::string_view key) {
-  if (!key.starts_with("car/")) return {};
-  key.remove_prefix(4);
-  return key.substr(0, key.find('/'));
-}
-
-void take_sample(Crumple& session, std::string_view key, std::span<const uint8_t> bytes) {
-  if (key == "health") return take_health(session, bytes);
-  if (key.ends_with("/reactions")) return take_reactions(session, bytes);
-  const std::string_view id = car_of(key);
-  FollowedCar* car = followed(session, id);
-  if (!car || !key.ends_with("/" + std::to_string(car->level))) return;  // of a level that was left, or of all the others
+void take_sample(Crumple& session, const Key& key, std::span<const uint8_t> bytes) {
+  if (key.channel == Channel::health) return take_health(session, bytes);
+  if (key.channel == Channel::reactions) return take_reactions(session, bytes);
+  if (key.channel != Channel::keyframe && key.channel != Channel::delta) return;
+  FollowedCar* car = followed(session, key.id);
+  if (!car || key.number != static_cast<uint64_t>(car->level)) return;  // of a level that was left, or of all the others
   car->last = Clock::now();
-  take_surface(session, std::string(id), *car, key.substr(4 + id.size()).starts_with("/key/"), false, bytes);
+  take_surface(session, std::string(key.id), *car, key.channel == Channel::keyframe, false, bytes);
 }
 
 void take_reply(Crumple& session, uint64_t ticket, std::span<const uint8_t> bytes, bool failed) {
@@ -320,14 +314,14 @@ void send_obstacles_again(Crumple& session) {
   net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_REAL_TIME);
 }
 
-void take_liveliness(Crumple& session, std::string_view key, bool alive) {
-  if (key == "server") {
+void take_liveliness(Crumple& session, const Key& key, bool alive) {
+  if (key.channel == Channel::server) {
     session.server_alive = alive;
     if (!alive) session.clock = {};  // the next one's ticks begin elsewhere
     if (alive) send_obstacles_again(session);
   }
-  const std::string_view id = car_of(key);
-  FollowedCar* car = id.empty() ? nullptr : followed(session, id);
+  const std::string_view id = key.id;
+  FollowedCar* car = key.channel == Channel::command ? followed(session, id) : nullptr;
   if (!car) return;
   const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // before its token came
   car->alive = alive;
@@ -369,7 +363,7 @@ int subscribe(Crumple& session, const std::string& cars, int level) {
   if (now == level || !session.net) return CRUMPLE_OK;
   for (const char* what : {"/key/", "/delta/"}) {
     const std::string key = session.root + "car/" + cars + what;
-    if (level != none && net_subscribe(session.net, (key + std::to_string(level)).c_str(), 4096) != 0)
+    if (level != none && net_subscribe(session.net, (key + std::to_string(level)).c_str(), 4096, sample_limit) != 0)
       return fail(CRUMPLE_CLOSED, transport_error());
     if (now != none && net_unsubscribe(session.net, (key + std::to_string(now)).c_str()) != 0)
       return fail(CRUMPLE_CLOSED, transport_error());
@@ -396,17 +390,18 @@ int begin(Crumple& session, const char* connect, const char* network) {
                                     "): is `crumple serve` running there" +
                                     (network ? ", and does it know this user and certificate?" : "?"));
   const std::string server = session.root + "server", health = session.root + "health";
-  if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0) != 0)
+  if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0, sample_limit) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
   const std::string reactions = session.root + "host/" + session.host + "/reactions";
-  if (!session.host.empty() && net_subscribe(session.net, reactions.c_str(), reactions_kept) != 0)
+  if (!session.host.empty() && net_subscribe(session.net, reactions.c_str(), reactions_kept, sample_limit) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
   const auto deadline = Clock::now() + session.timeout;
   while (!session.server_alive) {
     const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
     if (left.count() <= 0)
-      return fail(CRUMPLE_CLOSED, "no server of scene " + session.root.substr(10, session.root.size() - 11) + " answers at " +
-                                      connect + ": start `crumple serve --scene ...`, or give its scene");
+      return fail(CRUMPLE_CLOSED, "no server of scene " +
+                                      session.root.substr(key_root.size(), session.root.size() - key_root.size() - 1) +
+                                      " answers at " + connect + ": start `crumple serve --scene ...`, or give its scene");
     if (const int got = crumple_poll(&session, static_cast<uint64_t>(left.count())); got < 0) return got;
   }
   return CRUMPLE_OK;
@@ -433,20 +428,19 @@ bool held(const FollowedCar& car) { return !car.surface.quanta.empty() && !(car.
 
 void take(Crumple& session, const NetEvent& event) {
   const std::span<const uint8_t> bytes(event.data, event.size);
-  std::string_view key = event.key ? event.key : "";
   if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) {
     if (event.kind == NET_REPLY_END) return end_ticket(session, event.ticket);
     session.statistics.received_bytes += bytes.size();
     return take_reply(session, event.ticket, bytes, event.failed != 0);
   }
-  if (!key.starts_with(session.root)) return;
-  key.remove_prefix(session.root.size());
+  const auto key = parse_key(event.key, session.root);
+  if (!key) return;
   if (event.kind == NET_SAMPLE) {
     ++session.statistics.received;
     session.statistics.received_bytes += bytes.size();
-    take_sample(session, key, bytes);
+    take_sample(session, *key, bytes);
   } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
-    take_liveliness(session, key, event.kind == NET_ALIVE);
+    take_liveliness(session, *key, event.kind == NET_ALIVE);
   }
 }
 
@@ -498,13 +492,7 @@ int fail(int status, std::string sentence) {
   return status;
 }
 
-bool is_id(const char* text) {
-  if (!text) return false;
-  const size_t length = strnlen(text, 33);
-  return length >= 1 && length <= 32 && std::all_of(text, text + length, [](char c) {
-           return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
-         });
-}
+bool is_id(const char* text) { return text && crumple::is_id(std::string_view(text, strnlen(text, id_length_limit + 1))); }
 
 }  // namespace crumple::client
 
@@ -521,7 +509,7 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
   if (network && net_check(network) != 0)
     return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());
   auto* session = new Crumple;
-  session->root = std::string("crumple/1/") + options->scene + "/";
+  session->root = crumple::root_of(options->scene);
   session->host = options->host ? options->host : "";
   if (options->timeout_ms) session->timeout = std::chrono::milliseconds(options->timeout_ms);
   // Above those of an earlier session of this host, so that the server does not take its messages for old ones.

@@ -1,6 +1,5 @@
 #include "wire/check.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstdio>
 
@@ -13,20 +12,10 @@ std::string text(double value) {
   return buffer;
 }
 
-bool is_letter_or_digit(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9'); }
-
 }  // namespace
 
 std::string count_sentence(size_t count, size_t limit) {
   return "has " + std::to_string(count) + " entries; " + std::to_string(limit) + " are allowed";
-}
-
-std::string printable(std::string_view raw) {
-  std::string out(raw.substr(0, 64));
-  for (char& c : out) {
-    if (c < ' ' || c > '~') c = '?';
-  }
-  return '"' + out + (raw.size() > 64 ? "...\"" : "\"");
 }
 
 void Checker::refuse(Reason reason, const Place& place, const char* field, const std::string& fact) {
@@ -87,9 +76,7 @@ Pose Checker::pose(const Place& place, const char* field, const schema::Pose& va
 }
 
 std::string Checker::id(const Place& place, const char* field, std::string_view id) {
-  const bool fits = !id.empty() && id.size() <= limits.id_length &&
-                    std::all_of(id.begin(), id.end(), [](char c) { return is_letter_or_digit(c) || c == '_' || c == '-'; });
-  if (!fits) {
+  if (!is_id(id) || id.size() > limits.id_length) {
     refuse(Reason::bad_id, place, field,
            "is " + printable(id) + "; 1 to " + std::to_string(limits.id_length) + " characters of a-z A-Z 0-9 _ - are allowed");
   }
@@ -98,9 +85,7 @@ std::string Checker::id(const Place& place, const char* field, std::string_view 
 
 std::string Checker::asset(const Place& place, const flatbuffers::String* value) {
   const std::string_view digits = value->string_view();
-  const bool fits = digits.size() == 16 && std::all_of(digits.begin(), digits.end(),
-                                                       [](char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); });
-  if (!fits) refuse(Reason::bad_id, place, "asset", "is " + printable(digits) + "; 16 digits of 0-9 a-f are needed");
+  if (!is_hash(digits)) refuse(Reason::bad_id, place, "asset", "is " + printable(digits) + "; 16 digits of 0-9 a-f are needed");
   return std::string(digits.substr(0, 16));
 }
 

@@ -7,6 +7,7 @@
 #include <string>
 #include <string_view>
 
+#include "protocol/key.h"
 #include "schema/message_generated.h"
 #include "sim/obstacle.h"
 #include "wire/limits.h"
@@ -39,8 +40,6 @@ struct Checker {
 
 // "has 1001 entries; 1000 are allowed"
 std::string count_sentence(size_t count, size_t limit);
-// For sentences: at most 64 characters, all of them printable.
-std::string printable(std::string_view);
 
 // The root table if every offset below it holds; otherwise nothing, and the refusal. `tables`: of a list in it, at most; twice
 // as many may be there, so that one too many is told from a forged file that names one table a million times.

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "wire/check.h"
-#include "wire/surface.h"
 
 namespace crumple {
 namespace {
@@ -289,37 +288,6 @@ Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
   if (const auto* from = verified<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {
     out = {from->tick(), from->hash(), from->lost_inputs()};
   }
-  return check.refusal;
-}
-
-Verdict decode(std::string_view key, const Limits& limits, Address& out) {
-  const size_t first = key.find('/');
-  const std::string_view kind = key.substr(0, first);
-  const std::string_view rest = first == key.npos ? std::string_view{} : key.substr(first + 1);
-  const size_t second = rest.find('/');
-  const std::string_view id = rest.substr(0, second);
-  const std::string_view tail = second == rest.npos ? std::string_view{} : rest.substr(second + 1);
-  const auto level = size_t(key.empty() ? 0 : key.back() - '0');
-  if (key == "budget" || key == "asset") {
-    out.kind = key == "budget" ? Address::Kind::budget : Address::Kind::asset;
-    return std::nullopt;
-  }
-  if (kind == "host" && tail == "poses") {
-    out.kind = Address::Kind::poses;
-  } else if (kind == "host" && tail == "obstacles") {
-    out.kind = Address::Kind::obstacles;
-  } else if (kind == "car" && first != key.npos && second == rest.npos) {
-    out.kind = Address::Kind::command;
-  } else if (kind == "car" && tail.size() == 5 && tail.starts_with("key/") && level < surface_levels.size()) {
-    out.kind = Address::Kind::keyframe;
-    out.level = level;
-  } else {
-    return Refusal{Reason::bad_key,
-                   "key " + printable(key) +
-                       " is none of host/{host}/poses, host/{host}/obstacles, asset, car/{car}, car/{car}/key/{level}"};
-  }
-  Checker check{limits};
-  out.id = check.id({"key"}, kind == "host" ? "host" : "car", id);
   return check.refusal;
 }
 

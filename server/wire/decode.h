@@ -21,13 +21,6 @@ namespace crumple {
 
 using Bytes = std::vector<std::byte>;
 
-// A key below crumple/1/{scene}/ that the server listens on.
-struct Address {
-  enum class Kind { poses, obstacles, command, keyframe, budget, asset } kind;
-  std::string id;    // of the host (poses, obstacles) or the car; of a budget or an asset none
-  size_t level = 0;  // of the surface that a keyframe is of
-};
-
 struct Intent {
   std::string car;
   Motion motion;
@@ -83,7 +76,6 @@ struct GivenAsset {
   std::span<const std::byte> car;
 };
 
-[[nodiscard]] Verdict decode(std::string_view key, const Limits&, Address&);
 // Bytes must be aligned to 8. On a refusal what came out is meaningless.
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Intents&);
 [[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, ObstacleList&);

@@ -4,6 +4,8 @@
 
 #include <cstdint>
 
+#include "protocol/key.h"
+
 namespace crumple {
 
 struct Limits {
@@ -13,8 +15,8 @@ struct Limits {
   uint32_t obstacles_per_host = 1'000;   // each costs a coarse test per car and tick
   uint32_t hull_points_per_host = 4096;  // the faces of a hull are found by trying every three of its points
   // A message.
-  uint32_t message_size = 64u << 20;  // bytes; a car of 50,000 nodes has 20 MB; the transport receives no more
-  uint32_t id_length = 32;            // characters of a host's or car's id: a-z A-Z 0-9 _ -
+  uint32_t message_size = 64u << 20;     // bytes; a car of 50,000 nodes has 20 MB; the transport receives no more
+  uint32_t id_length = id_length_limit;  // characters of a host's or car's id: a-z A-Z 0-9 _ -
   // Numbers.
   double farthest = 1e6;          // m from the origin; beyond it the float of a viewer is off by over 6 cm
   double fastest = 500;           // m/s

@@ -22,7 +22,7 @@ struct SurfaceLevel {
   int quanta;      // of the scene's that are one of its own
   uint64_t ticks;  // from message to message while the car moves; at rest it is told at once
 };
-inline constexpr std::array<SurfaceLevel, 2> surface_levels = {{{1, 1}, {8, 6}}};
+inline constexpr std::array<SurfaceLevel, surface_level_count> surface_levels = {{{1, 1}, {8, 6}}};
 
 inline constexpr size_t part_size = 64'000;        // bytes that no keyframe or delta message reaches
 inline constexpr uint64_t keyframe_interval = 60;  // ticks between keyframes while deltas flow

@@ -11,9 +11,9 @@
 namespace crumple::fuzz {
 
 // Of each NAME there are NAME_run and NAME_seeds, in NAME.cpp or with what is like it.
-#define ENTRIES(each)                                                                                                    \
-  each(tick) each(inputs) each(snapshot) each(surface) each(client) each(car) each(recording) each(config) each(network) \
-      each(scene) each(regions)
+#define ENTRIES(each)                                                                                                \
+  each(key) each(tick) each(inputs) each(snapshot) each(surface) each(client) each(car) each(recording) each(config) \
+      each(network) each(scene) each(regions)
 #define DECLARE(name)     \
   bool name##_run(Input); \
   std::vector<std::vector<uint8_t>> name##_seeds();

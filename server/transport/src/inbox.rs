@@ -40,7 +40,8 @@ const MAX_LATEST_KEYS: usize = 4096;
 const MAX_BYTES: usize = 256 << 20;
 
 struct Source {
-    depth: usize, // 0: latest only
+    depth: usize,   // 0: latest only
+    longest: usize, // bytes of one that is taken
     waiting: usize,
     latest: HashMap<CString, u64>,
 }
@@ -78,6 +79,7 @@ pub struct Counts {
     pub received: AtomicU64,
     pub received_bytes: AtomicU64,
     pub received_dropped: AtomicU64, // samples, answers and reports
+    pub oversized: AtomicU64,
     pub replaced: AtomicU64,
     pub queries: AtomicU64,
     pub queries_refused: AtomicU64,
@@ -111,22 +113,31 @@ pub struct Inbox {
 impl Inbox {
     pub fn new(max_replies: usize) -> Inbox {
         let inbox = Inbox::default();
-        inbox.add_source(max_replies); // REPLIES
+        inbox.add_source(max_replies, usize::MAX); // REPLIES
         inbox
     }
 
-    pub fn add_source(&self, depth: usize) -> SourceId {
+    pub fn add_source(&self, depth: usize, longest: usize) -> SourceId {
         let mut state = self.state.lock().unwrap();
         if let Some(source) = state.free.pop() {
-            state.sources[source].depth = depth;
+            (state.sources[source].depth, state.sources[source].longest) = (depth, longest);
             return source;
         }
-        state.sources.push(Source { depth, waiting: 0, latest: HashMap::new() });
+        state.sources.push(Source { depth, longest, waiting: 0, latest: HashMap::new() });
         state.sources.len() - 1
     }
 
     pub fn free_source(&self, source: SourceId) {
         self.state.lock().unwrap().free.push(source);
+    }
+
+    /// Tells before a copy is made whether it is too long for its source, and then counts it as such.
+    pub fn is_oversized(&self, source: SourceId, size: usize) -> bool {
+        let oversized = size > self.state.lock().unwrap().sources[source].longest;
+        if oversized {
+            self.counts.oversized.fetch_add(1, Relaxed);
+        }
+        oversized
     }
 
     /// Tells before a copy is made whether it would be refused, and then counts it as such.

@@ -160,8 +160,17 @@ pub unsafe extern "C" fn net_put(
 }
 
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth: u32) -> c_int {
-    let subscribe = || unsafe { borrow(net, "net")?.subscribe(text(key, "key_expression")?, depth) };
+pub unsafe extern "C" fn net_withdraw(net: *mut Net, prefix: *const c_char) -> c_int {
+    let withdraw = || unsafe {
+        borrow(net, "net")?.withdraw(text(prefix, "prefix")?);
+        Ok(())
+    };
+    done(withdraw())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth: u32, longest: usize) -> c_int {
+    let subscribe = || unsafe { borrow(net, "net")?.subscribe(text(key, "key_expression")?, depth, longest) };
     done(subscribe())
 }
 
@@ -172,8 +181,8 @@ pub unsafe extern "C" fn net_unsubscribe(net: *mut Net, key: *const c_char) -> c
 }
 
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn net_queryable(net: *mut Net, key: *const c_char, depth: u32) -> c_int {
-    let declare = || unsafe { borrow(net, "net")?.queryable(text(key, "key_expression")?, depth) };
+pub unsafe extern "C" fn net_queryable(net: *mut Net, key: *const c_char, depth: u32, longest: usize) -> c_int {
+    let declare = || unsafe { borrow(net, "net")?.queryable(text(key, "key_expression")?, depth, longest) };
     done(declare())
 }
 
@@ -273,6 +282,7 @@ pub struct NetStats {
     received: u64,
     received_bytes: u64,
     received_dropped: u64,
+    oversized: u64,
     replaced: u64,
     queries: u64,
     queries_refused: u64,
@@ -290,6 +300,7 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         received: get(&came.received),
         received_bytes: get(&came.received_bytes),
         received_dropped: get(&came.received_dropped),
+        oversized: get(&came.oversized),
         replaced: get(&came.replaced),
         queries: get(&came.queries),
         queries_refused: get(&came.queries_refused),
@@ -656,4 +667,4 @@ pub unsafe extern "C" fn reader_metadata(
 }
 
 // The same numbers stand in tests/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 72 && size_of::<ReaderMessage>() == 72);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 80 && size_of::<ReaderMessage>() == 72);

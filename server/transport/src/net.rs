@@ -32,6 +32,10 @@ const ASK_ITEMS: usize = 1 << 14;
 const MAX_REPLIES: usize = 4096;
 /// Queries that were polled and not answered yet; beyond it the oldest is given up, so that its asker hears the end.
 const MAX_OPEN_QUERIES: usize = 4096;
+/// Bytes of a key, and of the parameters of a question, that come in: the longest of ours have 83, and questions have no parameters.
+const MAX_KEY: usize = 256;
+/// Keys that this session publishes on: 1,000 cars have 4,000, and hosts one each. 10 KB each with what zenoh keeps.
+const MAX_KEYS: usize = 1 << 14;
 /// Alive and gone reports that were not polled yet.
 const MAX_REPORTS: usize = 1 << 16;
 /// Questions have a priority that no sample has: zenoh keeps a queue each, and an answer inherits it from the question, so a
@@ -48,13 +52,14 @@ pub struct Sent {
 /// A key that this session publishes on.
 struct Key {
     name: KeyExpr<'static>,
-    index: usize,
+    index: u64,
     matching: AtomicBool,
 }
 
 enum Put {
     Declare(Arc<Key>),
     Sample(Arc<Key>, Priority, Vec<u8>),
+    Withdraw(Arc<Key>),
 }
 
 enum Ask {
@@ -89,6 +94,7 @@ pub struct Net {
     sent: Sent,
     puts: Arc<Queue<Put>>,
     keys: Mutex<HashMap<String, Arc<Key>>>,
+    keys_so_far: AtomicU64,
     threads: Vec<JoinHandle<()>>,
     pub polled: Mutex<Vec<Event>>,
 }
@@ -130,6 +136,7 @@ impl Net {
             sent: Sent::default(),
             puts,
             keys: Mutex::default(),
+            keys_so_far: AtomicU64::new(0),
             threads: vec![publishing, asking],
             polled: Mutex::default(),
         })
@@ -187,9 +194,16 @@ impl Net {
         Ok(self.key(key)?.matching.load(Relaxed))
     }
 
-    pub fn subscribe(&self, key: &str, depth: u32) -> Result<(), Fail> {
+    /// Nothing is published any more on the keys that begin so, until something is.
+    pub fn withdraw(&self, prefix: &str) {
+        // one that the full queue does not take stays declared
+        let gone = |key: &Arc<Key>| self.puts.push(Put::Withdraw(key.clone()), 0).is_ok();
+        self.keys.lock().unwrap().retain(|name, key| !(name.starts_with(prefix) && gone(key)));
+    }
+
+    pub fn subscribe(&self, key: &str, depth: u32, longest: usize) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(depth as usize);
+        let source = self.shared.inbox.add_source(depth as usize, longest);
         self.ask(Ask::Subscribe(key, source), 0)
     }
 
@@ -197,9 +211,9 @@ impl Net {
         self.ask(Ask::Unsubscribe(key_expression(key)?), 0)
     }
 
-    pub fn queryable(&self, key: &str, depth: u32) -> Result<(), Fail> {
+    pub fn queryable(&self, key: &str, depth: u32, longest: usize) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(depth.max(1) as usize);
+        let source = self.shared.inbox.add_source(depth.max(1) as usize, longest);
         self.ask(Ask::Queryable(key, source), 0)
     }
 
@@ -213,7 +227,7 @@ impl Net {
 
     pub fn watch(&self, key: &str) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(MAX_REPORTS);
+        let source = self.shared.inbox.add_source(MAX_REPORTS, 0);
         self.ask(Ask::Watch(key, source), 0)
     }
 
@@ -244,8 +258,12 @@ impl Net {
         if let Some(key) = keys.get(name) {
             return Ok(key.clone());
         }
-        let key = Arc::new(Key { name: one_key(name)?, index: keys.len(), matching: AtomicBool::new(false) });
-        // declared in the order of their index
+        if keys.len() >= MAX_KEYS {
+            let sentence = format!("{name}: this session publishes on {MAX_KEYS} keys already: withdraw some");
+            return Err(Fail::new(DROPPED, sentence));
+        }
+        let index = self.keys_so_far.fetch_add(1, Relaxed);
+        let key = Arc::new(Key { name: one_key(name)?, index, matching: AtomicBool::new(false) });
         self.puts.push(Put::Declare(key.clone()), 0).map_err(refusal)?;
         keys.insert(name.to_string(), key.clone());
         Ok(key)
@@ -308,25 +326,27 @@ fn one_key(text: &str) -> Result<KeyExpr<'static>, Fail> {
 // ---- the publishing thread ----
 
 fn publish(session: &Session, puts: &Queue<Put>) {
-    let mut publishers: Vec<HashMap<u8, Publisher<'static>>> = Vec::new();
+    let mut publishers: HashMap<u64, HashMap<u8, Publisher<'static>>> = HashMap::new();
     loop {
         match puts.pop(None) {
             Next::Item(Put::Declare(key)) => {
-                publishers.push(HashMap::new());
-                watch_matching(session, &key, &mut publishers[key.index]);
+                watch_matching(session, &key, publishers.entry(key.index).or_default());
             }
             Next::Item(Put::Sample(key, priority, data)) => {
-                if let Some(publisher) = publisher(session, &key, priority, &mut publishers[key.index]) {
+                // one that was withdrawn meanwhile has none
+                let declared = publishers.get_mut(&key.index);
+                if let Some(publisher) = declared.and_then(|declared| publisher(session, &key, priority, declared)) {
                     _ = publisher.put(data).wait(); // fails only when the session is closed
                 }
             }
+            Next::Item(Put::Withdraw(key)) => _ = publishers.remove(&key.index), // dropped, so undeclared
             Next::TimedOut => {}
             Next::Closed => return,
         }
     }
 }
 
-/// One publisher a key and priority (nearly always one a key), declared when first used and kept.
+/// One publisher a key and priority (nearly always one a key), declared when first used and kept until it is withdrawn.
 fn publisher<'a>(
     session: &Session,
     key: &Key,
@@ -458,9 +478,12 @@ impl Drop for Asked {
 impl Shared {
     fn sample(&self, source: SourceId, sample: &Sample) {
         // Nothing here deletes keys; a delete has no payload to hand on.
-        if sample.kind() == SampleKind::Delete {
+        let bad = sample.kind() == SampleKind::Delete || !is_plain(sample.key_expr());
+        if bad {
             self.inbox.counts.refused(Kind::Sample);
-        } else if !self.inbox.refuses(source, Kind::Sample, sample.payload().len()) {
+        } else if !self.inbox.is_oversized(source, sample.payload().len())
+            && !self.inbox.refuses(source, Kind::Sample, sample.payload().len())
+        {
             let (key, data) = (c_key(sample.key_expr()), aligned(sample.payload()));
             self.inbox.push(source, Event { kind: Kind::Sample, failed: false, key, data, ticket: 0 });
         }
@@ -468,15 +491,36 @@ impl Shared {
 
     fn report(&self, source: SourceId, sample: &Sample) {
         let kind = if sample.kind() == SampleKind::Put { Kind::Alive } else { Kind::Gone };
+        if !is_plain(sample.key_expr()) {
+            return self.inbox.counts.refused(kind);
+        }
         let key = c_key(sample.key_expr());
         self.inbox.push(source, Event { kind, failed: false, key, data: Aligned::default(), ticket: 0 });
     }
 
-    /// A query is answered under the queryable's own key, or, where that names many, under the key asked for.
-    fn query(&self, source: SourceId, own: &KeyExpr<'static>, query: Query) {
+    /// A query is answered under the queryable's own key, or, where that names many, under the key asked for. What it brought is
+    /// not kept with it until then.
+    fn query(&self, source: SourceId, own: &KeyExpr<'static>, mut query: Query) {
         let ticket = self.tickets.fetch_add(1, Relaxed);
+        let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
+        _ = query.attachment_mut().map(std::mem::take);
+        let too_long = |what: &str| format!("{what} is longer than what may be asked here").into_bytes();
+        let refused = if !is_plain(query.key_expr()) || query.parameters().as_str().len() > MAX_KEY {
+            self.inbox.counts.refused(Kind::Query);
+            Some(too_long("the key or its parameters"))
+        } else if self.inbox.is_oversized(source, payload.len()) {
+            Some(too_long(&format!("a question of {} bytes", payload.len())))
+        } else {
+            None
+        };
+        if let Some(data) = refused {
+            let query = Box::new(Waiting { query, key: own.clone() });
+            _ = self.asks.push(Ask::Reply { query, data, failed: true }, 64); // if full: the end without an answer
+            return;
+        }
         let key = c_key(query.key_expr());
-        let data = query.payload().map(aligned).unwrap_or_default();
+        let data = aligned(&payload);
+        drop(payload);
         let answer_key = if own.is_wild() { query.key_expr().clone() } else { own.clone() };
         let waiting = Box::new(Waiting { query, key: answer_key });
         // before the poller can see the ticket
@@ -502,8 +546,12 @@ fn aligned(payload: &ZBytes) -> Aligned {
     Aligned::gather(payload.len(), payload.slices())
 }
 
-/// A key expression may hold a zero byte; as a C string it ends there.
+/// A key expression may hold a zero byte, at which it would end as a C string and be another, and is up to 64 KB long.
+fn is_plain(key: &KeyExpr<'_>) -> bool {
+    key.as_str().len() <= MAX_KEY && !key.as_str().contains('\0')
+}
+
+/// Empty if it is not plain.
 fn c_key(key: &KeyExpr<'_>) -> CString {
-    let text = key.as_str();
-    CString::new(text.split('\0').next().unwrap_or_default()).unwrap_or_default()
+    CString::new(key.as_str()).unwrap_or_default()
 }
