@@ -407,6 +407,20 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
   EXPECT_EQ(stats.put + stats.put_dropped, calls);
 }
 
+// A session does not linger at its end (server/transport/.cargo/config.toml).
+TEST(Net, HandsOnWhatWasPutBeforeItClosed) {
+  const Session server = open_peer();
+  ASSERT_EQ(net_subscribe(server.get(), "t/last", 1000, NET_LONGEST), TRANSPORT_OK);
+  constexpr size_t samples = 20;  // fewer than zenoh has batches for
+  for (int round = 0; round < 5; ++round) {
+    Session client = open_client(server);
+    ASSERT_TRUE(wait_for_subscriber(client, "t/last"));
+    for (size_t k = 0; k < samples; ++k) ASSERT_EQ(put(client, "t/last", std::string(40'000, char(k))), TRANSPORT_OK);
+    client.reset();
+    EXPECT_EQ(collect(server, samples).size(), samples) << "round " << round;
+  }
+}
+
 TEST(Net, RefusesBadArgumentsWithASentence) {
   Net* net = nullptr;
   EXPECT_EQ(net_open("router", nullptr, nullptr, nullptr, 100, &net), TRANSPORT_BAD_ARGUMENT);

@@ -36,6 +36,10 @@ const MAX_OPEN_QUERIES: usize = 4096;
 const MAX_KEY: usize = 256;
 /// Keys that this session publishes on: 1,000 cars have 4,000, and hosts one each. 10 KB each with what zenoh keeps.
 const MAX_KEYS: usize = 1 << 14;
+/// Of the question by which a session that closes learns that all it sent has come: whoever may watch may ask there, and no scene is
+/// called so.
+const LAST_KEY: &str = "crumple/1/-/health";
+const LAST_WAIT: Duration = Duration::from_secs(1);
 /// Alive and gone reports that were not polled yet.
 const MAX_REPORTS: usize = 1 << 16;
 /// Questions have a priority that no sample has: zenoh keeps a queue each, and an answer inherits it from the question, so a
@@ -149,6 +153,7 @@ impl Net {
         for thread in self.threads.drain(..) {
             _ = thread.join();
         }
+        reach_the_other_end(&self.session);
         let unanswered = std::mem::take(&mut *self.shared.open_queries.lock().unwrap());
         drop(unanswered);
         _ = self.session.close().wait();
@@ -271,6 +276,24 @@ impl Net {
 
     fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
         self.shared.asks.push(ask, bytes).map_err(refusal)
+    }
+}
+
+/// A socket does not linger at its end (.cargo/config.toml). A question of the lowest priority, that nobody answers, comes back from
+/// the other end of a line after all that was sent before it.
+fn reach_the_other_end(session: &Session) {
+    let (ended, end) = std::sync::mpsc::channel::<()>();
+    let asked = session
+        .get(LAST_KEY)
+        .timeout(LAST_WAIT)
+        .target(QueryTarget::All)
+        .congestion_control(CongestionControl::Block)
+        .priority(Priority::Background)
+        .allowed_destination(Locality::Remote)
+        .callback(move |_| _ = &ended) // dropped at the end
+        .wait();
+    if asked.is_ok() {
+        _ = end.recv_timeout(LAST_WAIT);
     }
 }
 
