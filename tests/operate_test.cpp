@@ -177,7 +177,7 @@ class Guarded : public Operate {
            << "done\n";
     write("certificates", script.str());
     ASSERT_EQ(std::system(("sh " + path("certificates")).c_str()), 0) << "needs openssl; " << path("openssl.log");
-    write("users", "game:dent-1\nplayer:look-1\n");
+    write("users", "game:dent-1\nplayer:look-1\nserver:serve-1\n");
   }
 
   // The examples of the repository, with this folder's files.
@@ -275,6 +275,58 @@ TEST_F(Guarded, CertificatesLetAHostDriveAndAPlayerOnlyWatch) {
   expect_refused(endpoint, nobody(), "no certificate");
   expect_refused(endpoint, certificate("game2"), "a certificate of another authority");
   play(certificate("game"), certificate("player"));
+}
+
+// What only servers may say, by somebody who may not: tokens of owners and of those that stand by, inputs for these, and
+// surfaces.
+void intrude(const Session& net) {
+  for (const char* token :
+       {"owner/2-x", "owner/1000000000-x", "owner/18446744073709551615-x", "standby/0-0", "server", "car/ghost"})
+    EXPECT_EQ(net_announce(net.get(), (std::string("crumple/1/main/") + token).c_str()), 0) << token;
+  for (const char* key : {"replica/inputs", "car/box/key/0", "car/box/delta/0", "health", "host/tester/reactions"})
+    EXPECT_EQ(net_put(net.get(), (std::string("crumple/1/main/") + key).c_str(), "forged", 6, NET_REAL_TIME), 0) << key;
+  for (const char* key : {"asset", "car/*", "car/*/key/*", "inputs", "replica/world"})
+    EXPECT_EQ(net_queryable(net.get(), (std::string("crumple/1/main/") + key).c_str(), 100, NET_LONGEST), 0) << key;
+}
+
+TEST_F(Guarded, BehindARouterOnlyServersOwnAScene) {
+  Net* opened = nullptr;
+  const std::string network = with(repository_file("server/router.json5"), "/etc/crumple", folder.string());
+  ASSERT_EQ(net_open("router", "tls/127.0.0.1:0", nullptr, network.c_str(), 0, &opened), 0) << transport_error();
+  const Session router(opened);
+  endpoint = net_endpoint(router.get());
+  const auto serve = [&](const char* name, std::vector<std::string> more) {
+    std::vector<std::string> arguments = {"serve",     "--car",     car_file.string(),
+                                          "--threads", "2",         "--connect",
+                                          endpoint,    "--network", write("as_server.json5", user("server", "serve-1")),
+                                          "--record",  path(name)};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return std::make_unique<Process>(arguments);
+  };
+  const auto owner = serve("owner.mcap", {});
+  ASSERT_TRUE(owner->read_until("vertices")) << owner->text;
+  const Session player = open_raw(user("player", "look-1")), game = open_raw(user("game", "dent-1"));
+  intrude(player);
+  intrude(game);
+  const auto standby = serve("standby.mcap", {"--standby"});
+  ASSERT_TRUE(standby->read_until("holds the world")) << owner->text << standby->text;
+  Crumple* host = open("game", user("game", "dent-1"));
+  ASSERT_NE(host, nullptr);
+  ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
+  spawn(host);
+  crash(host);
+  if (HasFatalFailure()) return;
+  intrude(player);
+  owner->send(SIGKILL);
+  ASSERT_TRUE(standby->read_until("takes over")) << standby->text;
+  CrumpleParameters keep = crumple_keep();
+  uint64_t ticket = 0;
+  EXPECT_TRUE(until(host, [&] {
+    return crumple_set_parameters(host, "box", &keep, &ticket) == CRUMPLE_OK && answer(host, CRUMPLE_OK, ticket).ok;
+  })) << "it serves on";
+  EXPECT_EQ(standby->text.find("out of step"), std::string::npos) << standby->text;
+  standby->send(SIGTERM);
+  EXPECT_EQ(standby->wait(), 0) << standby->text;
 }
 
 TEST_F(Operate, ListeningToStrangersIsSaidAloud) {
