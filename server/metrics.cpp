@@ -33,6 +33,7 @@ constexpr std::array metrics = {
     Metric{"received_bytes", "received_bytes_total", "Bytes of them."},
     Metric{"received_dropped", "received_dropped_total", "Samples that found too much waiting."},
     Metric{"replaced", "replaced_total", "Samples that a newer one of their host replaced before a tick took them."},
+    Metric{"keys_published", "keys_published", "Keys that samples are published on: four a car that moved, one a host."},
     Metric{"oversized", "oversized_total", "Samples and queries that were too long to be looked at."},
     Metric{"keys_refused", "keys_refused_total", "Samples and queries under keys of which nothing is known."},
     Metric{"queries_waiting", "queries_waiting", "Queries that no tick has let in yet."},

@@ -438,6 +438,7 @@ void publish_health(Server& server) {
                                  {"received_bytes", stats.received_bytes},
                                  {"received_dropped", stats.received_dropped},
                                  {"replaced", stats.replaced},
+                                 {"keys_published", stats.keys, NET_KEYS},
                                  {"oversized", stats.oversized},
                                  {"keys_refused", server.keys_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},

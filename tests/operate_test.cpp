@@ -497,6 +497,26 @@ TEST_F(Operate, TheUnitOfSystemdIsOne) {
   EXPECT_EQ(text.find("crumple.service"), std::string::npos) << text;
 }
 
+TEST_F(Operate, CarsThatCameAndWentLeaveNothingBehind) {
+  start_server(path("guests.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  const Session net = open_raw();
+  CrumpleSpawn spawn{};
+  spawn.pose.orientation[3] = 1;
+  for (int k = 0; k < 40; ++k) {
+    const std::string id = "guest-" + std::to_string(k);
+    uint64_t ticket = 0;
+    EXPECT_TRUE(answer(host, crumple_spawn(host, id.c_str(), asset.c_str(), &spawn, &ticket), ticket).ok);
+    EXPECT_TRUE(answer(host, crumple_despawn(host, id.c_str(), &ticket), ticket).ok);
+  }
+  // The host's reactions, the cars' keyframes: none are left a second later, but health and the inputs of whoever stands by.
+  const auto after = counts_when(net, [&](auto& health) { return health["messages"] >= 80 && health["hosts"] == 0; });
+  EXPECT_LE(after.at("keys_published"), 2u);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+}
+
 // ---- what a tick takes ------------------------------------------------------------------------------------------------------
 
 TEST_F(Operate, NoSenderMakesATickLong) {

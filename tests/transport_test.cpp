@@ -20,7 +20,7 @@ namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 80 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 88 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);
@@ -405,6 +405,30 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
   const NetStats stats = stats_of(server);
   EXPECT_EQ(stats.put_dropped, 1u);
   EXPECT_EQ(stats.put + stats.put_dropped, calls);
+}
+
+// A scene that runs for a month with new cars each second: what they were told under their ids goes with them.
+TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
+  const Session peer = open_peer();
+  const auto key_of = [](int k) { return "t/" + std::to_string(k) + "/key"; };
+  ASSERT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
+  int refused = 0, k = 0;
+  for (; refused == 0; ++k) refused = put(peer, key_of(k).c_str(), "x");
+  EXPECT_EQ(refused, TRANSPORT_DROPPED);
+  EXPECT_NE(std::string(transport_error()).find("16384 keys"), std::string::npos) << transport_error();
+  EXPECT_EQ(k, NET_KEYS);
+  EXPECT_EQ(stats_of(peer).keys, uint64_t(NET_KEYS));
+  EXPECT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
+  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), ("t/" + std::to_string(k) + "/").c_str()), TRANSPORT_OK);
+  EXPECT_EQ(stats_of(peer).keys, 1u);
+  // And what was withdrawn is published anew.
+  const Session client = open_client(peer);
+  ASSERT_EQ(net_subscribe(client.get(), "t/7/key", 10, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_TRUE(wait_for_subscriber(peer, "t/7/key"));
+  ASSERT_EQ(put(peer, "t/7/key", "again"), TRANSPORT_OK);
+  const auto came = collect(client, 1);
+  ASSERT_EQ(came.size(), 1u);
+  EXPECT_EQ(came[0].data, "again");
 }
 
 // A session does not linger at its end (server/transport/.cargo/config.toml).

@@ -45,14 +45,14 @@ void net_close(Net*);
 enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's
 
 // Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept until
-// they are withdrawn, 16,384 at most: beyond them TRANSPORT_DROPPED.
+// they are withdrawn, NET_KEYS at most: beyond them TRANSPORT_DROPPED.
 // A session does not hear its own samples and questions; it does see its own announcements.
 int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriority priority);
 
 // Nothing more is published on the keys that begin so (a car was despawned), until something is.
 int net_withdraw(Net*, const char* prefix);
 
-enum { NET_LONGEST = 64 << 20 };  // bytes of a message that the session receives at all
+enum { NET_LONGEST = 64 << 20, NET_KEYS = 16384 };  // bytes of a message that a session receives; keys that it publishes on
 
 // longest: bytes of a sample that is handed on; longer ones are counted in NetStats.oversized.
 // depth 0: latest only, per key (an older sample that was not yet polled is replaced, and counted in NetStats.replaced).
@@ -104,6 +104,7 @@ typedef struct NetStats {
   uint64_t put, put_bytes, put_dropped;  // dropped: the session's own queue was full
   uint64_t received, received_bytes, received_dropped, oversized, replaced;
   uint64_t queries, queries_refused;
+  uint64_t keys;  // that it publishes on
 } NetStats;
 void net_stats(const Net*, NetStats* out);
 

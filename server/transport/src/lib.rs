@@ -286,6 +286,7 @@ pub struct NetStats {
     replaced: u64,
     queries: u64,
     queries_refused: u64,
+    keys: u64,
 }
 
 #[unsafe(no_mangle)]
@@ -304,6 +305,7 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         replaced: get(&came.replaced),
         queries: get(&came.queries),
         queries_refused: get(&came.queries_refused),
+        keys: net.key_count() as u64,
     };
     unsafe { out.write(view) };
 }
@@ -667,4 +669,4 @@ pub unsafe extern "C" fn reader_metadata(
 }
 
 // The same numbers stand in tests/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 80 && size_of::<ReaderMessage>() == 72);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 88 && size_of::<ReaderMessage>() == 72);

@@ -173,6 +173,11 @@ impl Net {
         (&self.sent, &self.shared.inbox.counts)
     }
 
+    /// That this session publishes on.
+    pub fn key_count(&self) -> usize {
+        self.keys.lock().unwrap().len()
+    }
+
     pub fn put(&self, key: &str, data: &[u8], priority: i32) -> Result<(), Fail> {
         let priority = match priority {
             1 => Priority::RealTime,
