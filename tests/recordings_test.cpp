@@ -577,11 +577,22 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   EXPECT_NE(verified.text.find("lost inputs when it was recorded"), std::string::npos) << verified.text;
 }
 
-TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
-  const Outcome fixed = run({"serve", "--car", car_file.string(), "--record", path("fixed.mcap"), "--record-minutes", "0.05"});
-  EXPECT_EQ(fixed.code, 1);
-  EXPECT_NE(fixed.text.find("--record %F-%H%M%S.mcap"), std::string::npos) << fixed.text;
+TEST_F(Recorded, GoesOnInNumberedFilesWhereTheNameHasNoTime) {
+  write("fixed-2.mcap", "somebody else's");
+  const Outcome served = run({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0", "--record",
+                              path("fixed.mcap"), "--record-minutes", "0.02", "--seconds", "3"});
+  EXPECT_EQ(served.code, 0) << served.text;
+  EXPECT_EQ(bytes_of(path("fixed-2.mcap")), "somebody else's");
+  const Contents first = read(path("fixed.mcap")), next = read(path("fixed-3.mcap"));
+  ASSERT_GT(first.last_tick(), 0u);
+  ASSERT_FALSE(next.messages.empty());
+  EXPECT_EQ(next.messages.front().tick, first.last_tick() + 1);
+  const Outcome verified = run({"replay", path("fixed.mcap"), path("fixed-3.mcap"), "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+  EXPECT_EQ(count(verified.text, "every tick identical"), 2u) << verified.text;
+}
 
+TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
   fs::create_directory(path("gone"));
   start_server(path("gone/%s.mcap"), {"--record-minutes", "0.05"});  // 3 s
   Crumple* host = open("tester");
