@@ -260,7 +260,8 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
   verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
   CLI::Option* verify =
-      verb.add_flag("--verify", options.verify, "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
+      verb.add_flag("--verify", options.verify,
+                    "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
   CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
   verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
   verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
