@@ -134,7 +134,8 @@ std::string sentence_of(const RecordingReader& file, const Verdict& verdict, con
   good = trouble.empty();
   if (!good || file.cut())
     return "the first " + ticks + (end.ticks > verdict.identical ? " of " + std::to_string(end.ticks) : "") +
-           " ticks are identical" + time + "; " + (good ? "the file was cut off: what followed is not in it" : trouble);
+           " ticks are identical" + time + "; " +
+           (good ? "the file was cut off, or is still being written: what followed is not in it" : trouble);
   std::string note;
   if (end.recovered)
     note = "; recovered: what else there was when it was recorded is not in it";
