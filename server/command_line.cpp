@@ -156,8 +156,8 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->type_name("FILE.mcap");
   verb.add_option(
           "--record-minutes", options.record_minutes,
-          "goes on in another --record file after so long, which begins with the whole world and replays by itself; 0: all "
-          "in one file")
+          "goes on in another --record file after so long, which begins with the whole world and replays by itself: named by "
+          "its time, or with -2, -3, ...; 0: only when the index of one has grown to 32 MiB, or its keys to 32,768")
       ->check(CLI::Range(0.0, 60.0 * 24 * 365))
       ->capture_default_str();
   verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
@@ -255,7 +255,8 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
   verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
   CLI::Option* verify =
-      verb.add_flag("--verify", options.verify, "feeds the inputs to a fresh world; fails at the first tick that differs");
+      verb.add_flag("--verify", options.verify,
+                    "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
   CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
   verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
   verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();

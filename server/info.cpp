@@ -49,7 +49,7 @@ struct Summary {
   std::set<std::string> hosts;
   std::map<std::string, std::vector<Crash>> crashes;  // by car
   std::map<std::string, double> absorbed;             // J, by car, as of its last reaction
-  uint64_t ticks = 0;
+  uint64_t ticks = 0, messages = 0;
 };
 
 void add_reactions(const RecordingReader::Item& item, Summary& summary) {
@@ -81,14 +81,19 @@ void print_recording(const std::string& path) {
   for (RecordingReader::Item item; file.next(item);) {
     ChannelCount& count = summary.channels[std::string(item.key)];
     ++count.messages;
+    ++summary.messages;
     count.bytes += item.bytes.size();
     if (item.key.starts_with("host/")) summary.hosts.emplace(item.key.substr(5, item.key.find('/', 5) - 5));
     if (item.channel == Channel::reactions) add_reactions(item, summary);
     summary.ticks += item.channel == Channel::tick_end;
   }
   const auto number = [](uint64_t value) { return static_cast<unsigned long long>(value); };
-  std::printf("%s: a recording by %s, started %s%s\n", path.c_str(), head.program.c_str(), head.started.c_str(),
-              file.cut() ? "; CUT OFF: whole up to its last tick" : "");
+  const std::string trouble = trouble_at_end(file.end(), summary.ticks, summary.messages);
+  const std::string end = file.cut()             ? "; CUT OFF: whole up to its last tick"
+                          : !trouble.empty()     ? "; ENDS EARLY: " + trouble
+                          : file.end().recovered ? "; recovered: there was more when it was recorded"
+                                                 : "";
+  std::printf("%s: a recording by %s, started %s%s\n", path.c_str(), head.program.c_str(), head.started.c_str(), end.c_str());
   std::printf("  scene %s  %llu ticks at %g a second: %.1f s  quantum %g mm  hosts", head.scene.c_str(), number(summary.ticks),
               head.rate, static_cast<double>(summary.ticks) / head.rate, 1e3 * static_cast<double>(head.quantum));
   for (const std::string& host : summary.hosts) std::printf(" %s", host.c_str());

@@ -1,11 +1,12 @@
 #include "recording.h"
 
+#include <algorithm>
 #include <charconv>
 #include <cstring>
 #include <stdexcept>
 
-#include "schema/message_generated.h"
 #include "wire/decode.h"
+#include "wire/encode.h"
 
 // The schema of all messages, in the file: a recording explains itself to any MCAP tool.
 asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSAGE_BFBS "\"\nmessage_schema_end:\n.popsection");
@@ -17,8 +18,10 @@ const char* const program_name = "crumple 0.1.0+" CRUMPLE_PHYSICS;
 
 namespace {
 
-// Hosts and cars come and go, and each has keys of its own; MCAP numbers channels with 16 bits.
-constexpr size_t channel_limit = 60'000;
+constexpr const char* head_name = "crumple";
+constexpr const char* counted = "counted";  // what the head says under "end"
+// A reader takes records of up to 256 MiB, and a world of many damaged cars is longer.
+constexpr size_t world_piece = size_t{64} << 20;
 
 template <class Visit>
 void visit_limits(Limits& limits, Visit visit) {
@@ -85,56 +88,129 @@ const char* table_of(Channel channel) {
   }
 }
 
-Recording::Recording(const std::string& path, const RecordingHead& head) : root_(root_of(head.scene)) {
+std::string recorded_key(const Message& message) {
+  if (message.ticket == 0) return message.key;
+  return channel_of(message.key) == Channel::command ? message.key + "/answer" : "";
+}
+
+RecordingEnd end_of(Reader* reader) {
+  RecordingEnd end;
+  const char* name;
+  const char* const* pairs;
+  for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i) {
+    std::map<std::string, std::string> values;
+    for (; pairs[0]; pairs += 2) values[pairs[0]] = pairs[1];
+    if (std::strcmp(name, head_name) == 0) end.expected = values["end"] == counted;
+    if (std::strcmp(name, end_name) != 0) continue;
+    end.there = read_number(values["ticks"], end.ticks) && read_number(values["messages"], end.messages);
+    end.recovered = values["recovered"] == "yes";
+  }
+  return end;
+}
+
+std::string trouble_at_end(const RecordingEnd& end, uint64_t ticks, uint64_t messages) {
+  if (!end.there && end.expected)
+    return "it lacks its end, which says how many ticks there were: it was cut off and then closed by another program, and "
+           "`crumple recover` makes a whole one of what is left";
+  if (!end.there || (ticks >= end.ticks && messages >= end.messages)) return "";
+  return std::to_string(end.ticks) + " ticks and " + std::to_string(end.messages) + " messages were recorded, and only " +
+         std::to_string(ticks) + " and " + std::to_string(messages) + " are in the file: the others were taken out";
+}
+
+void write_end(Recorder* recorder, const RecordingEnd& end) {
+  const std::string ticks = text_of(end.ticks), messages = text_of(end.messages);
+  const char* const pairs[] = {"ticks", ticks.c_str(), "messages", messages.c_str(), "recovered", end.recovered ? "yes" : "no",
+                               nullptr};
+  when_there_is_room([&] { return recorder_metadata(recorder, end_name, pairs); });
+}
+
+Recording::Recording(const std::string& path, const RecordingHead& head, const RecordingBounds& bounds)
+    : root_(root_of(head.scene)), bounds_(bounds) {
   need(recorder_open(path.c_str(), "crumple", head.program.c_str(), &recorder_));
-  std::vector<std::string> pairs = {"program", head.program,       "scene",   head.scene,           "started", head.started,
-                                    "rate",    text_of(head.rate), "quantum", text_of(head.quantum)};
+  try {
+    write_head(head);
+  } catch (...) {
+    recorder_close(recorder_);
+    throw;
+  }
+}
+
+void Recording::write_head(const RecordingHead& head) {
+  std::vector<std::string> pairs = {"program", head.program,          "scene", head.scene,
+                                    "started", head.started,          "rate",  text_of(head.rate),
+                                    "quantum", text_of(head.quantum), "end",   counted};
   Limits limits = head.limits;
   visit_limits(limits, [&](const char* name, auto& value) { pairs.insert(pairs.end(), {name, text_of(value)}); });
   std::vector<const char*> pointers;
   for (const std::string& text : pairs) pointers.push_back(text.c_str());
   pointers.push_back(nullptr);
-  need(recorder_metadata(recorder_, "crumple", pointers.data()));
+  need(recorder_metadata(recorder_, head_name, pointers.data()));
   for (const auto& car : head.cars)
     need(recorder_attach(recorder_, car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
   for (const auto& car : head.given)
     need(recorder_attach(recorder_, car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
-  if (!head.world.empty()) need(recorder_attach(recorder_, "world", world_media_type, head.world.data(), head.world.size()));
+  for (std::span<const std::byte> rest(head.world); !rest.empty();) {
+    const auto piece = rest.first(std::min(rest.size(), world_piece));
+    need(recorder_attach(recorder_, "world", world_media_type, piece.data(), piece.size()));
+    rest = rest.subspan(piece.size());
+  }
 }
 
 Recording::~Recording() { close(); }
 
 std::string Recording::close() {
   if (!recorder_) return {};
+  write_end(recorder_, end_);
   const bool good = recorder_close(recorder_) == 0;
   recorder_ = nullptr;
   return good ? "" : transport_error();
 }
 
+bool Recording::full() const {
+  return channels_.size() >= bounds_.next_channels || recorder_index(recorder_) >= bounds_.next_index;
+}
+
+int Recording::refuse(const std::string& why) {
+  if (why_lost_.empty()) why_lost_ = why;
+  return TRANSPORT_DROPPED;
+}
+
 // What a full queue refuses is asked for again with the next message.
 int Recording::id_of(const std::string& key, Channel channel) {
   if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
-  if (channels_.size() >= channel_limit) return -1;
+  if (channels_.size() >= bounds_.most_channels)
+    return refuse("cars and hosts came with more than " + std::to_string(bounds_.most_channels) +
+                  " keys before it could go on in another file; name cars and hosts again that are gone");
   const char* table = table_of(channel);
   auto schema = schemas_.find(table);
   if (schema == schemas_.end()) {
     const auto length = static_cast<size_t>(message_schema_end - message_schema);
     const int id = recorder_schema(recorder_, table, message_schema, length);
-    if (id < 0) return id;
+    if (id < 0) return refuse(transport_error());
     schema = schemas_.emplace(table, id).first;
   }
   const int id = recorder_channel(recorder_, (root_ + key).c_str(), schema->second);
-  if (id >= 0) channels_.emplace(key, id);
-  return id;
+  if (id < 0) return refuse(transport_error());
+  return channels_.emplace(key, id).first->second;
 }
 
 bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
-  const int id = id_of(key, channel);
+  int id = TRANSPORT_DROPPED;
+  if (recorder_index(recorder_) < bounds_.most_index)
+    id = id_of(key, channel);
+  else
+    refuse("its index takes " + std::to_string(bounds_.most_index >> 20) +
+           " MiB of memory, and it could not go on in another file; give --record a folder where one can be made");
   if (id < 0) {
-    ++undeclared_;
+    ++refused_;
     return false;
   }
-  return recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) == 0;
+  if (recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) < 0) {
+    refuse(transport_error());
+    return false;
+  }
+  ++end_.messages;
+  return true;
 }
 
 void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {
@@ -144,17 +220,18 @@ void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {
 }
 
 void Recording::output(uint64_t tick, const Message& message, uint64_t time_ns) {
-  const Channel channel = channel_of(message.key);
-  if (message.ticket != 0 && channel != Channel::command) return;
-  const bool answer = message.ticket != 0;
-  write(answer ? message.key + "/answer" : message.key, answer ? Channel::answer : channel, tick, time_ns, message.bytes.data(),
-        message.bytes.size());
+  const std::string key = recorded_key(message);
+  if (key.empty()) return;
+  const Channel channel = channel_of(key);
+  const bool written = write(key, channel, tick, time_ns, message.bytes.data(), message.bytes.size());
+  lost_outputs_ += !written && channel != Channel::health;  // which no tick gives
 }
 
 void Recording::end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns) {
-  flatbuffers::FlatBufferBuilder builder;
-  builder.Finish(schema::CreateTickEnd(builder, tick, hash, lost_inputs_));
-  if (write("tick", Channel::tick_end, tick, time_ns, builder.GetBufferPointer(), builder.GetSize())) lost_inputs_ = 0;
+  const Bytes end = encode_tick_end({tick, hash, lost_inputs_, lost_outputs_});
+  if (!write("tick", Channel::tick_end, tick, time_ns, end.data(), end.size())) return;
+  lost_inputs_ = lost_outputs_ = 0;
+  ++end_.ticks;
 }
 
 RecordingReader::RecordingReader(const std::string& path) : path_(path) {
@@ -169,7 +246,7 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
       if (std::strcmp(type, car_media_type) == 0)
         head_.cars.push_back(read_car({bytes, size}, path + " (recorded by " + head_.program + "): attachment " + name));
       if (std::strcmp(type, given_media_type) == 0) given_[name] = read_car({bytes, size}, path + ": attachment " + name);
-      if (std::strcmp(type, world_media_type) == 0) head_.world.assign(bytes, bytes + size);
+      if (std::strcmp(type, world_media_type) == 0) head_.world.insert(head_.world.end(), bytes, bytes + size);
     }
   } catch (...) {
     reader_close(reader_);
@@ -183,7 +260,7 @@ void RecordingReader::read_metadata() {
   const char* name;
   const char* const* pairs;
   for (uint32_t i = 0; reader_metadata(reader_, i, &name, &pairs) == 1; ++i) {
-    if (std::strcmp(name, "crumple") != 0) continue;
+    if (std::strcmp(name, head_name) != 0) continue;
     std::map<std::string, std::string> values;
     for (; pairs[0]; pairs += 2) values[pairs[0]] = pairs[1];
     head_.program = values["program"];

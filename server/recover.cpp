@@ -1,6 +1,7 @@
 // A copy, record by record, up to the last TickEnd. What stands behind it goes: inputs of a tick that nobody knows the outcome
 // of would be taken by the next tick of whoever replays them, and its outputs may be half there. What was copied keeps its
-// times, sequence and schemas, and the metadata keep the program that recorded it.
+// times, sequence and schemas, and the metadata keep the program that recorded it. Its end says how much there is now, and that
+// there was more.
 #include "recover.h"
 
 #include <chrono>
@@ -21,7 +22,7 @@ namespace {
 using ReaderHandle = std::unique_ptr<Reader, void (*)(Reader*)>;
 
 struct Found {
-  uint64_t ticks = 0;
+  uint64_t ticks = 0, messages = 0;
   uint32_t last = 0;   // tick
   uint64_t after = 0;  // messages behind it
   std::string damage;  // where the file can be read no further
@@ -34,12 +35,8 @@ int need(int status) {
 
 // Unlike a tick, a copy has the time to wait for the recorder's queue.
 template <class Step>
-int when_there_is_room(Step step) {
-  for (;;) {
-    const int status = step();
-    if (status != TRANSPORT_DROPPED) return need(status);
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-  }
+int done(Step step) {
+  return need(when_there_is_room(step));
 }
 
 ReaderHandle open(const std::string& path) {
@@ -63,6 +60,7 @@ Found survey(Reader* reader) {
   ReaderMessage message;
   int status;
   while ((status = reader_next(reader, &message)) == 1) {
+    ++found.messages;
     if (std::strcmp(message.schema, table_of(Channel::tick_end)) == 0) {
       ++found.ticks;
       found.last = message.sequence;
@@ -75,31 +73,31 @@ Found survey(Reader* reader) {
   return found;
 }
 
-void copy(Reader* reader, uint32_t last, const std::string& path) {
+void copy(Reader* reader, uint32_t last, RecordingEnd end, const std::string& path) {
   Recorder* recorder = nullptr;
   need(recorder_open(path.c_str(), "crumple", program_name, &recorder));
   std::unique_ptr<Recorder, int (*)(Recorder*)> closer(recorder, recorder_close);
   const char *name, *type;
   const char* const* pairs;
   for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i)
-    when_there_is_room([&] { return recorder_metadata(recorder, name, pairs); });
+    if (std::strcmp(name, end_name) != 0) done([&] { return recorder_metadata(recorder, name, pairs); });
   const uint8_t* data;
   size_t size;
   for (uint32_t i = 0; reader_attachment(reader, i, &name, &type, &data, &size) == 1; ++i)
-    when_there_is_room([&] { return recorder_attach(recorder, name, type, data, size); });
+    done([&] { return recorder_attach(recorder, name, type, data, size); });
   std::map<std::string, int> schemas, channels;
   for (ReaderMessage m; reader_next(reader, &m) == 1;) {
     if (m.sequence > last) continue;
     const auto [schema, new_schema] = schemas.try_emplace(m.schema);
-    if (new_schema)
-      schema->second = when_there_is_room([&] { return recorder_schema(recorder, m.schema, m.bfbs, m.bfbs_size); });
+    if (new_schema) schema->second = done([&] { return recorder_schema(recorder, m.schema, m.bfbs, m.bfbs_size); });
     const auto [channel, new_channel] = channels.try_emplace(m.topic);
     const int of_schema = schema->second;
-    if (new_channel) channel->second = when_there_is_room([&] { return recorder_channel(recorder, m.topic, of_schema); });
+    if (new_channel) channel->second = done([&] { return recorder_channel(recorder, m.topic, of_schema); });
     const int id = channel->second;
-    when_there_is_room(
-        [&] { return recorder_write(recorder, id, m.sequence, m.log_time_ns, m.publish_time_ns, m.data, m.size); });
+    done([&] { return recorder_write(recorder, id, m.sequence, m.log_time_ns, m.publish_time_ns, m.data, m.size); });
+    ++end.messages;
   }
+  if (end.there) write_end(recorder, end);
   need(recorder_close(closer.release()));
 }
 
@@ -113,17 +111,23 @@ int recover(const RecoverOptions& options) {
   const double rate = rate_of(reader.get(), options.input);
   const Found found = survey(reader.get());
   if (found.ticks == 0) throw std::runtime_error(options.input + ": holds no whole tick: there is nothing to recover");
-  copy(reader.get(), found.last, options.output);
-
   const bool cut = reader_cut(reader.get()) == 1;
+  const RecordingEnd end = end_of(reader.get());
+  const std::string trouble = cut || !found.damage.empty() ? "" : trouble_at_end(end, found.ticks, found.messages);
+  const bool whole = !cut && found.damage.empty() && found.after == 0 && trouble.empty();
+  // Of a whole file without an end nobody knows whether it is all.
+  const bool known = end.there || !whole;
+  copy(reader.get(), found.last, {found.ticks, 0, end.recovered || !whole, known}, options.output);
+
   std::printf("%s: %llu ticks (%.1f s) of %s, as a whole recording\n", options.output.c_str(),
               static_cast<unsigned long long>(found.ticks), static_cast<double>(found.ticks) / rate, options.input.c_str());
   if (!found.damage.empty()) std::printf("lost: what came after tick %u; %s\n", found.last, found.damage.c_str());
   if (cut) std::printf("lost: what came after tick %u and had not reached the file, a second or so\n", found.last);
+  if (!trouble.empty()) std::printf("lost: %s\n", trouble.c_str());
   if (found.after > 0)
     std::printf("left out: %llu messages of tick %u, whose end is not in the file\n",
                 static_cast<unsigned long long>(found.after), found.last + 1);
-  if (!cut && found.damage.empty()) std::printf("nothing was lost: it was whole already\n");
+  if (whole) std::printf("nothing was lost: it was whole already\n");
   return 0;
 }
 

@@ -1,5 +1,5 @@
-// `crumple replay FILE...`: a recording as an experiment (--verify: the inputs run again, every tick's hash compared) or as a
-// film (--publish: the outputs sent again, at any speed, to whoever watches).
+// `crumple replay FILE...`: a recording as an experiment (--verify: the inputs run again, of every tick its hash and all that
+// it gave compared) or as a film (--publish: the outputs sent again, at any speed, to whoever watches).
 #pragma once
 
 #include <atomic>

@@ -10,9 +10,7 @@
 #include <cmath>
 #include <csignal>
 #include <cstdio>
-#include <ctime>
 #include <deque>
-#include <future>
 #include <iterator>
 #include <optional>
 #include <set>
@@ -24,7 +22,7 @@
 #include "protocol/key.h"
 #include "recording.h"
 #include "schema/message_generated.h"
-#include "snapshot.h"
+#include "series.h"
 #include "standby.h"
 
 namespace crumple {
@@ -85,14 +83,8 @@ struct Server {
   std::vector<std::shared_ptr<const Car>> cars;
   WorldHandle world;
   Net* net = nullptr;
-  std::string record;  // file
-  std::unique_ptr<Recording> recording;
-  Clock::time_point record_until = Clock::time_point::max();
-  std::future<std::string> closing;  // the file before: what is wrong with it
-  uint64_t lost_before = 0;          // by recordings that are closed
-  bool closed_badly = false;
+  std::unique_ptr<Series> recording;
   Metrics* metrics = nullptr;
-  std::string recording_told;                    // the last sentence about its trouble
   std::set<std::string, std::less<>> announced;  // "car/{car}" of those that live
   std::vector<std::string> heard;                // ids of the hosts that a second ago had something
   std::deque<Query> queries;                     // waiting
@@ -115,20 +107,9 @@ struct Server {
   }
 };
 
-Clock::duration minutes(double count) {
-  return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double, std::ratio<60>>(count));
-}
-
 uint64_t wall_ns() {
   return static_cast<uint64_t>(
       std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
-}
-
-// strftime, UTC.
-std::string with_time(const std::string& pattern, std::time_t time = std::time(nullptr)) {
-  char text[4096];
-  const size_t size = std::strftime(text, sizeof text, pattern.c_str(), std::gmtime(&time));
-  return size > 0 ? std::string(text, size) : pattern;
 }
 
 void need(int status) {
@@ -144,74 +125,19 @@ void start_world(Server& server) {
   set_clock(*server.world, [start = Clock::now()] { return std::chrono::duration<double>(Clock::now() - start).count(); });
 }
 
-void check_names(const ServeOptions& options) {
-  if (options.record_minutes == 0) return;
-  const std::time_t now = std::time(nullptr), then = now + std::time_t(60 * options.record_minutes);
-  if (with_time(options.record, now) == with_time(options.record, then))
-    throw std::runtime_error(
-        "--record-minutes: the next file would have the name of the one before: put the time into it, as in "
-        "--record %F-%H%M%S.mcap");
-}
-
-std::unique_ptr<Recording> open_recording(const Server& server, const std::string& file) {
-  const ServeOptions& options = server.options;
-  RecordingHead head;
-  if (tick_count(*server.world) > 0) {
-    head.world = save_world(*server.world);
-    head.given = given_cars(*server.world);
-  }
-  head.scene = options.scene;
-  head.started = with_time("%Y-%m-%dT%H:%M:%SZ");
-  head.rate = options.rate;
-  head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
-  head.cars = server.cars;
-  auto recording = std::make_unique<Recording>(file, head);
-  // For who looks at it: what is seen at the start. The world has these inputs, and refuses them when they are fed again.
-  Outbox outbox;
-  shown(*server.world, outbox);
-  for (const Message& message : outbox) recording->output(tick_count(*server.world), message, wall_ns());
-  for (const auto& [key, message] : server.latest.messages) recording->input(tick_count(*server.world), message, wall_ns());
-  return recording;
-}
-
 // From here on; what the world holds already goes in front. Who stands by begins twice: that it could not record should show
 // before it is needed.
 void start_recording(Server& server) {
   const ServeOptions& options = server.options;
   if (options.record.empty()) return;
   server.recording.reset();
-  server.record = with_time(options.record);
-  server.recording = open_recording(server, server.record);
-  if (options.record_minutes > 0) server.record_until = Clock::now() + minutes(options.record_minutes);
-}
-
-uint64_t lost(const Server& server) { return server.lost_before + (server.recording ? server.recording->lost() : 0); }
-
-void tell_closed(Server& server) {
-  if (!server.closing.valid()) return;
-  const std::string trouble = server.closing.get();
-  if (!trouble.empty()) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
-  server.closed_badly |= !trouble.empty();
-}
-
-// Goes on in another file. That no tick waits for the disk, the one before is closed by a thread of its own; while that lasts,
-// and where there can be no other file, the recording goes on in the one that it has.
-void next_recording(Server& server) {
-  server.record_until += minutes(server.options.record_minutes);
-  if (server.closing.valid() && server.closing.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
-  try {
-    const std::string file = with_time(server.options.record);
-    if (file == server.record) return;  // which would be written over
-    auto next = open_recording(server, file);
-    tell_closed(server);
-    server.lost_before = lost(server);
-    server.closing = std::async(std::launch::async, [before = std::move(server.recording)] { return before->close(); });
-    server.recording = std::move(next);
-    server.record = file;
-    server.recording_told.clear();
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "crumple serve: %s; goes on in %s\n", error.what(), server.record.c_str());
-  }
+  SeriesOptions series{options.record, options.record_minutes, {}};
+  series.head.scene = options.scene;
+  series.head.rate = options.rate;
+  series.head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
+  series.head.cars = server.cars;
+  series.tell = [](const std::string& sentence) { std::fprintf(stderr, "crumple serve: %s\n", sentence.c_str()); };
+  server.recording = std::make_unique<Series>(std::move(series), *server.world, server.latest, Clock::now());
 }
 
 // Whether one of the endpoints can be reached from another machine.
@@ -443,7 +369,7 @@ void publish_health(Server& server) {
                                  {"keys_refused", server.keys_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
-                                 {"recording_lost", lost(server)}});
+                                 {"recording_lost", server.recording ? server.recording->lost() : 0}});
   if (server.metrics) metrics_set(server.metrics, metrics_page(report, server.options.scene).c_str());
   publish(server, report);
   if (server.recording) server.recording->output(tick_count(*server.world), report, wall_ns());
@@ -465,18 +391,6 @@ void tell_refusals(Server& server, uint64_t& told) {
   std::fprintf(stderr, "crumple serve: refused %llu message%s; the last: %s\n", static_cast<unsigned long long>(refused - told),
                refused - told == 1 ? "" : "s", last_refusal(*server.world).c_str());
   told = refused;
-}
-
-// What is wrong with the recording is said when it begins; how much it costs is in health.
-void tell_recording(Server& server) {
-  std::string trouble = server.recording->trouble();
-  if (trouble.empty() && server.recording->lost() > 0)
-    trouble = server.record +
-              ": loses messages, because the disk is slower than the recording; the server goes on, "
-              "replay --verify names the tick; record to a faster disk";
-  if (trouble.empty() || trouble == server.recording_told) return;
-  std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
-  server.recording_told = trouble;
 }
 
 // Of those that have nothing in the scene any more neither what they told last is kept, nor the keys of what they were told.
@@ -506,14 +420,13 @@ void run(Server& server, const std::atomic<bool>& stop) {
     }
     due += period;
     run_tick(server);
+    if (server.recording) server.recording->go_on(now);
     if (now < next_health) continue;
     next_health += std::chrono::seconds(1);
     publish_health(server);
     forget_hosts(server);
     tell_refusals(server, told);
-    if (!server.recording) continue;
-    tell_recording(server);
-    if (now >= server.record_until) next_recording(server);
+    if (server.recording) server.recording->tell();
   }
 }
 
@@ -525,14 +438,8 @@ int finish(Server& server) {
     std::fprintf(stderr, "crumple serve: another has taken over scene %s: this server ends here\n",
                  server.options.scene.c_str());
   if (!server.recording) return server.replaced ? 1 : 0;
-  const uint64_t missing = lost(server);
-  tell_closed(server);
-  const std::string trouble = server.recording->close();
-  if (!trouble.empty() && trouble != server.recording_told) std::fprintf(stderr, "crumple serve: %s\n", trouble.c_str());
-  if (missing > 0)
-    std::fprintf(stderr, "crumple serve: the recording lost %llu messages\n", static_cast<unsigned long long>(missing));
-  if (missing > 0 || !trouble.empty() || server.closed_badly || server.replaced) return 1;
-  std::printf("recorded %s\n", server.record.c_str());
+  if (!server.recording->close() || server.replaced) return 1;
+  std::printf("recorded %s\n", server.recording->file().c_str());
   return 0;
 }
 
@@ -575,7 +482,6 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   server.root = root_of(options.scene);
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   server.pace.limit = 1e-3 * options.budget_ms;
-  check_names(options);
   if (options.standby && options.connect.empty())
     throw std::runtime_error("--standby needs --connect: it meets the scene's server at a router");
   start_world(server);

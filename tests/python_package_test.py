@@ -12,6 +12,8 @@ import sys
 import unittest
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 import crumple
 from crumple.schema.Delta import Delta
@@ -139,6 +141,30 @@ class ThePackage(WithServer):
                 sought = recording.at(tick / recording.rate).surface("car1")
                 self.assertEqual((sought.tick, sought.hash), (walked[tick].tick, walked[tick].hash))
                 self.assertEqual(told[sought.tick], sought.hash)
+
+    def test_a_recording_that_another_program_wrote_anew_is_as_good(self):
+        source = ROOT / "recordings/built_in_pole.mcap"
+        for compression in (CompressionType.ZSTD, CompressionType.NONE):
+            with open(source, "rb") as file, open(self.folder / "anew.mcap", "wb") as out:
+                reader, writer = make_reader(file), Writer(out, compression=compression)
+                writer.start("crumple", "another")
+                channels = {}
+                for schema, channel, message in reader.iter_messages(log_time_order=False):
+                    if channel.id not in channels:
+                        number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+                    writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+                for each in reader.iter_attachments():
+                    writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
+                for each in reader.iter_metadata():
+                    writer.add_metadata(each.name, each.metadata)
+                writer.finish()
+            self.assertIn("every tick identical", output(PROGRAM, "replay", self.folder / "anew.mcap", "--verify"))
+            self.assertIn("crashes\n  car car", output(PROGRAM, "info", self.folder / "anew.mcap"))
+            with crumple.Recording(self.folder / "anew.mcap") as anew, crumple.Recording(source) as before:
+                np.testing.assert_array_equal(anew.reactions(), before.reactions())
+                car = before.cars[0]
+                self.assertEqual(anew.at(2.0).surface(car).hash, before.at(2.0).surface(car).hash)
 
     def test_what_is_no_whole_recording_is_told_with_the_remedy(self):
         whole = (ROOT / "recordings/m130_wall.mcap").read_bytes()

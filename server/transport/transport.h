@@ -160,7 +160,8 @@ typedef struct Recorder Recorder;
 
 // Creates the file and a thread that writes it: whole records only (no seeking back), chunks of 256 KiB or one second,
 // whichever comes first, synced each second: what is older than a second survives kill -9. Each call below takes a copy into
-// a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, messages counted) and returns at once.
+// a bounded queue (64 MiB; beyond it TRANSPORT_DROPPED, messages counted) and returns at once. Attachments do not count there:
+// whoever gives them has their bytes in memory already. They and the metadata are synced at once.
 int recorder_open(const char* path, const char* profile, const char* library, Recorder** out);
 // Schema of encoding "flatbuffer" (data: .bfbs), and a channel with message encoding "flatbuffer". Return an id >= 0.
 int recorder_schema(Recorder*, const char* name, const void* bfbs, size_t size);
@@ -173,6 +174,8 @@ int recorder_metadata(Recorder*, const char* name, const char* const* pairs);
 // Messages that were not written: queue full or disk trouble. The sentence of the first trouble, or "".
 uint64_t recorder_lost(const Recorder*);
 const char* recorder_trouble(const Recorder*);
+// Bytes of memory that the file's index takes until it is closed, about. It grows with every channel and every chunk.
+uint64_t recorder_index(const Recorder*);
 // Writes what is queued, summary and footer; returns the first trouble's Status, if any.
 int recorder_close(Recorder*);
 
@@ -189,7 +192,8 @@ typedef struct ReaderMessage {
   uint64_t log_time_ns, publish_time_ns;
 } ReaderMessage;
 
-// Opens a recording, whole or cut off at any byte (then reader_cut gives 1); records over 256 MiB are refused.
+// Opens a recording, whole or cut off at any byte (then reader_cut gives 1), whose chunks are plain, LZ4 or zstd; records over
+// 256 MiB are refused.
 int reader_open(const char* path, Reader** out);
 void reader_close(Reader*);
 int reader_cut(const Reader*);

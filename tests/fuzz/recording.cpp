@@ -154,6 +154,8 @@ void record(const std::string& path, bool begun) {
   if (begun) head.world = save_world(*world);
   Recording recording(path, head);
   Outbox outbox;
+  shown(*world, outbox);
+  for (const Message& message : outbox) recording.output(tick_count(*world), message, 0);
   const host::Thing wall{1, schema::Shape::box, {0.5f, 5, 5}, host::pose_at(2.85, 0, 1)};
   for (uint64_t k = 1; k <= 3; ++k) {
     Inbox inbox = {{"host/h0/poses", host::poses(k, {{"c0", host::pose_at(0.2 * double(k)), {14, 0, 0}}})}};

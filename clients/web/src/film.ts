@@ -1,7 +1,8 @@
 // A recording (MCAP, as `crumple serve --record` writes it) as a scene that can be put to any moment. Nothing but the file is needed:
 // its baked cars are attachments, or messages where they came later. One that was cut off is read as far as it is whole.
 import { McapStreamReader } from "@mcap/core";
-import { decompress } from "lz4js";
+import { decompress as fromZstd } from "fzstd";
+import { decompress as fromLz4 } from "lz4js";
 import { ByteBuffer } from "flatbuffers";
 import { readCar } from "./baked.js";
 import { Asset } from "./crumple/schema/asset.js";
@@ -50,7 +51,9 @@ export class Film extends Scene {
   /** Throws an Error with a sentence where the bytes are no recording. */
   static read(bytes: Uint8Array): Film {
     const film = new Film();
-    const reader = new McapStreamReader({ decompressHandlers: { lz4: (data, size) => decompress(data, Number(size)) } });
+    // A server writes LZ4; other programs that write a recording anew, zstd.
+    const decompressHandlers = { lz4: (data: Uint8Array, size: bigint) => fromLz4(data, Number(size)), zstd: (data: Uint8Array) => fromZstd(data) };
+    const reader = new McapStreamReader({ decompressHandlers });
     const topics = new Map<number, string>();
     let first: number | null = null, rate = 60;
     reader.append(bytes);

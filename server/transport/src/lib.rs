@@ -507,7 +507,7 @@ pub unsafe extern "C" fn recorder_attach(
     let attach = || unsafe {
         let (name, media_type) = (text(name, "name")?.to_string(), text(media_type, "media_type")?.to_string());
         let data = bytes(data, size, "data")?.to_vec();
-        borrow(recorder, "recorder")?.push(Item::Attachment { name, media_type, data }, size)
+        borrow(recorder, "recorder")?.push(Item::Attachment { name, media_type, data }, 0)
     };
     done(attach())
 }
@@ -541,6 +541,11 @@ unsafe fn read_pairs(pairs: *const *const c_char) -> Result<BTreeMap<String, Str
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn recorder_lost(recorder: *const Recorder) -> u64 {
     unsafe { recorder.as_ref() }.map_or(0, Recorder::lost)
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn recorder_index(recorder: *const Recorder) -> u64 {
+    unsafe { recorder.as_ref() }.map_or(0, Recorder::index)
 }
 
 #[unsafe(no_mangle)]

@@ -23,6 +23,16 @@ const QUEUE_ITEMS: usize = 1 << 20;
 const CHUNK_BYTES: u64 = 256 << 10;
 /// The promise is one second; a tenth of it is for the disk.
 const SYNC_PERIOD: Duration = Duration::from_millis(900);
+/// At least so much between two of them, that a disk which takes longer than that gets whole chunks.
+const SYNC_PAUSE: Duration = Duration::from_millis(100);
+/// What the index takes of memory until the file is closed, in bytes, rounded up from what was measured: for a channel, for each
+/// byte of its topic (here and at the caller), for a chunk, for each channel that has a message in it.
+const INDEX_OF_CHANNEL: u64 = 448;
+const INDEX_OF_TOPIC: u64 = 2;
+const INDEX_OF_CHUNK: u64 = 256;
+const INDEX_OF_CHANNEL_IN_CHUNK: u64 = 30;
+/// Of a message in a chunk: opcode, length, channel, sequence, two times.
+const MESSAGE_HEAD: u64 = 31;
 /// MCAP numbers schemas and channels in 16 bits, from 1.
 const MAX_IDS: usize = 65_535;
 
@@ -37,6 +47,7 @@ pub enum Item {
 #[derive(Default)]
 struct Shared {
     lost: AtomicU64,
+    index: AtomicU64, // bytes
     trouble: OnceLock<(i32, CString)>,
 }
 
@@ -71,8 +82,9 @@ impl Recorder {
             shared: shared.clone(),
             schemas: Vec::new(),
             channels: Vec::new(),
+            chunk: Chunk { number: 1, bytes: 0 },
             unsynced: 0,
-            dirty_since: Some(Instant::now()), // the header
+            sync_at: Instant::now(), // the header
         };
         let items = queue.clone();
         let thread = std::thread::Builder::new()
@@ -103,7 +115,8 @@ impl Recorder {
         if ids.1 >= MAX_IDS {
             return Err(bad(format!("channel {topic}: a recording holds at most {MAX_IDS} channels")));
         }
-        self.push(Item::Channel { topic, schema }, 0)?;
+        let bytes = topic.len();
+        self.push(Item::Channel { topic, schema }, bytes)?;
         ids.1 += 1;
         Ok(ids.1 - 1)
     }
@@ -124,7 +137,7 @@ impl Recorder {
     pub fn push(&self, item: Item, bytes: usize) -> Result<(), Fail> {
         self.queue.push(item, bytes).map_err(|refused| match refused {
             Refused::Full => {
-                Fail::new(DROPPED, "the recorder's queue of 64 MiB is full: the disk is slower than the recording")
+                Fail::new(DROPPED, "the recorder's queue of 64 MiB is full, because the disk is slower than the recording")
             }
             Refused::Closed => Fail::new(CLOSED, "the recorder is closed"),
         })
@@ -132,6 +145,10 @@ impl Recorder {
 
     pub fn lost(&self) -> u64 {
         self.shared.lost.load(Relaxed)
+    }
+
+    pub fn index(&self) -> u64 {
+        self.shared.index.load(Relaxed)
     }
 
     pub fn trouble(&self) -> Option<&(i32, CString)> {
@@ -162,26 +179,40 @@ struct Scribe {
     sync: File,
     shared: Arc<Shared>,
     schemas: Vec<u16>, // our ids -> the file's
-    channels: Vec<u16>,
+    channels: Vec<Channel>,
+    chunk: Chunk,
     unsynced: u64, // messages since the last sync: lost if the disk refuses them
-    dirty_since: Option<Instant>,
+    sync_at: Instant,
+}
+
+struct Channel {
+    id: u16,         // the file's
+    last_chunk: u64, // that has a message of it
+}
+
+/// The one that mcap fills now, as far as the index grows with it.
+struct Chunk {
+    number: u64,
+    bytes: u64,
 }
 
 impl Scribe {
     fn run(mut self, items: &Queue<Item>) {
         loop {
-            let due = self.dirty_since.map(|since| SYNC_PERIOD.saturating_sub(since.elapsed()));
-            match items.pop(due) {
+            match items.pop(Some(self.sync_at.saturating_duration_since(Instant::now()))) {
                 Next::Item(item) => self.take(item),
                 Next::TimedOut => {}
                 Next::Closed => break,
             }
-            if self.dirty_since.is_some_and(|since| since.elapsed() >= SYNC_PERIOD) {
+            let begun = Instant::now();
+            if begun >= self.sync_at {
                 self.attempt(|scribe, writer| {
+                    scribe.end_chunk();
                     writer.flush()?;
                     scribe.synced()
                 });
-                self.dirty_since = None;
+                // From its begin: what came meanwhile has waited already.
+                self.sync_at = (begun + SYNC_PERIOD).max(Instant::now() + SYNC_PAUSE);
             }
         }
         if let Some(mut writer) = self.writer.take() {
@@ -201,7 +232,10 @@ impl Scribe {
             self.count_lost();
             return;
         }
-        self.dirty_since.get_or_insert_with(Instant::now);
+        // Without these nothing of a file can be used.
+        if matches!(item, Item::Attachment { .. } | Item::Metadata { .. }) {
+            self.sync_at = Instant::now();
+        }
         self.attempt(|scribe, writer| scribe.write(writer, item));
     }
 
@@ -235,15 +269,36 @@ impl Scribe {
         Ok(())
     }
 
+    /// mcap ends a chunk before the message that finds it full.
+    fn count_in_index(&mut self, channel: usize, size: usize) {
+        if self.chunk.bytes > CHUNK_BYTES {
+            self.end_chunk();
+        }
+        let mut more = if self.chunk.bytes == 0 { INDEX_OF_CHUNK } else { 0 };
+        self.chunk.bytes += MESSAGE_HEAD + size as u64;
+        let last = &mut self.channels[channel].last_chunk;
+        if *last != self.chunk.number {
+            *last = self.chunk.number;
+            more += INDEX_OF_CHANNEL_IN_CHUNK;
+        }
+        self.shared.index.fetch_add(more, Relaxed);
+    }
+
+    fn end_chunk(&mut self) {
+        self.chunk = Chunk { number: self.chunk.number + 1, bytes: 0 };
+    }
+
     fn write(&mut self, writer: &mut Sink, item: Item) -> McapResult<()> {
         match item {
             Item::Schema { name, bfbs } => self.schemas.push(writer.add_schema(&name, "flatbuffer", &bfbs)?),
             Item::Channel { topic, schema } => {
                 let id = writer.add_channel(self.schemas[schema], &topic, "flatbuffer", &BTreeMap::new())?;
-                self.channels.push(id);
+                self.channels.push(Channel { id, last_chunk: 0 });
+                self.shared.index.fetch_add(INDEX_OF_CHANNEL + INDEX_OF_TOPIC * topic.len() as u64, Relaxed);
             }
             Item::Message { channel, header, data } => {
-                let header = MessageHeader { channel_id: self.channels[channel], ..header };
+                self.count_in_index(channel, data.len());
+                let header = MessageHeader { channel_id: self.channels[channel].id, ..header };
                 writer.write_to_known_channel(&header, &data)?;
             }
             Item::Attachment { name, media_type, data } => {
