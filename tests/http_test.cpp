@@ -278,6 +278,23 @@ TEST_F(Http, OneAddressLeavesPlacesForOthers) {
   holds();
 }
 
+TEST_F(Http, ACrowdOfOneAddressCostsAnotherNoConnection) {
+  for (const auto& [address, path] : {std::pair{metrics, "/metrics"}, {web, "/"}}) {
+    Line idle(address);
+    idle.send(head(path));
+    EXPECT_TRUE(idle.read("\r\n\r\n").starts_with("HTTP/1.1 200"));
+    std::vector<Line> lines;
+    for (int i = 0; i < 600; ++i) lines.emplace_back(address, "127.0.0.2").send("GET / HT");
+    answers();
+    answers("127.0.0.2");
+    idle.send(head(path));
+    const std::string again = idle.read("HTTP/1.1 200");
+    EXPECT_NE(again.find("HTTP/1.1 200"), again.npos)
+        << address << " let go of an idle connection for a crowd of another address";
+    EXPECT_TRUE(lines.front().ended(Clock::now() + promptly)) << "the oldest of the crowd is still there";
+  }
+}
+
 TEST_F(Http, WhatIsRefusedForALimitIsCounted) {
   EXPECT_EQ(shown(get(metrics, "/metrics"), "crumple_http_refused_total"), 0);
   EXPECT_EQ(web_refused(web_), 0u);
