@@ -11,6 +11,7 @@ use axum::{Router, body::Body};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use socket2::SockRef;
 use std::ffi::CString;
 use std::io;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
@@ -31,6 +32,8 @@ const HEAD_TIME: Duration = Duration::from_secs(10);
 const MAX_HEAD: usize = 16 << 10;
 /// A reader that takes nothing, or a browser that answers nothing, for so long is let go.
 pub const PATIENCE: Duration = Duration::from_secs(30);
+/// Connections that wait to be accepted: more than come at once, since the kernel lets whoever finds no room try again after 1 s.
+const MAX_COMING: i32 = 1024;
 /// Until it is tried again to accept, where there was no descriptor for it.
 const TRY_AGAIN: Duration = Duration::from_millis(100);
 /// For tasks to end when the door closes.
@@ -67,6 +70,7 @@ impl Door {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("http").enable_all().build();
         let runtime = runtime.map_err(cannot)?;
         let listener = runtime.block_on(TcpListener::bind(address)).map_err(cannot)?;
+        SockRef::from(&listener).listen(MAX_COMING).map_err(cannot)?;
         let local = listener.local_addr().map_err(cannot)?;
         Ok(Door {
             places: Arc::new(Places { most: places, taken: Mutex::default(), refused: AtomicU64::new(0) }),
