@@ -8,6 +8,7 @@
 #include <cctype>
 #include <chrono>
 #include <cmath>
+#include <csignal>
 #include <cstdio>
 #include <cstring>
 #include <exception>
@@ -356,14 +357,23 @@ void ask(Gateway& gateway) {
   }
 }
 
+// Once: who runs it sees that it is crowded, or attacked.
+void tell_refused(const Web* web, bool& told) {
+  if (told || web_refused(web) == 0) return;
+  told = true;
+  std::fprintf(stderr, "crumple view: connections are refused: at most 512 are let in at a time, 256 of one address\n");
+}
+
 void run(Gateway& gateway, const std::atomic<bool>& stop) {
   NetEvent events[64];
+  bool told = false;
   while (!stop) {
     const int got = net_poll(gateway.net, events, 64, gateway.control ? 10'000 : 50'000);
     need(got);
     for (int i = 0; i < got; ++i) take(gateway, events[i]);
     ask(gateway);
     if (gateway.control) gateway.control->work();
+    tell_refused(gateway.web, told);
   }
 }
 
@@ -435,12 +445,13 @@ void hand_out(Web* web, const ViewOptions& options, const std::atomic<bool>& sto
   std::printf("%s and %s: open http://%s/%s in a browser\n", options.files[0].c_str(), options.files[1].c_str(),
               web_address(web), query.c_str());
   std::fflush(stdout);
-  while (!stop) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  for (bool told = false; !stop; std::this_thread::sleep_for(std::chrono::milliseconds(50))) tell_refused(web, told);
 }
 
 }  // namespace
 
 int view(const ViewOptions& options, const std::atomic<bool>& stop) {
+  std::signal(SIGPIPE, SIG_IGN);  // a line that goes while something is written to it does not end the gateway
   const std::string page = read_page(options.page);
   Player player;
   Gateway gateway;

@@ -413,11 +413,11 @@ TEST_F(Operate, PrometheusReadsWhatHealthSays) {
     return metrics["crumple_ticks_total"] == double(health["tick"]);
   });
   EXPECT_TRUE(page.starts_with("HTTP/1.1 200 OK\r\n")) << page;
-  EXPECT_NE(page.find("Content-Type: text/plain; version=0.0.4"), std::string::npos) << page;
+  EXPECT_NE(page.find("content-type: text/plain; version=0.0.4"), std::string::npos) << page;
   size_t listed = 0, shown = 0;
   for (const auto& [name, value] : counts) listed += name != "tick" && !name.starts_with("refused ");
   for (const auto& [name, value] : metrics) shown += name.find('{') == name.npos && !name.ends_with("_limit");
-  EXPECT_EQ(shown, listed + 3) << "a count of health is not on the page, which has ticks, late ticks and rate besides";
+  EXPECT_EQ(shown, listed + 4) << "a count of health is not on the page, which has ticks, late ticks, rate and refused besides";
   EXPECT_NE(page.find("crumple_info{scene=\"main\",program=\"crumple "), std::string::npos) << page;
   EXPECT_EQ(metrics["crumple_cars"], 1);
   EXPECT_EQ(metrics["crumple_cars_limit"], 1000);

@@ -4,6 +4,7 @@
 mod bytes;
 mod config;
 mod fail;
+mod http;
 mod inbox;
 mod metrics;
 mod net;
@@ -356,6 +357,11 @@ pub unsafe extern "C" fn web_open(address: *const c_char, out: *mut *mut Web) ->
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn web_address(web: *const Web) -> *const c_char {
     unsafe { web.as_ref() }.map_or(c"".as_ptr(), |web| web.address().as_ptr())
+}
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn web_refused(web: *const Web) -> u64 {
+    unsafe { web.as_ref() }.map_or(0, Web::refused)
 }
 
 #[unsafe(no_mangle)]

@@ -1,64 +1,53 @@
-//! One page of text over HTTP, for Prometheus. The owner replaces it whole; a thread of its own answers, so a slow or hostile
-//! reader holds up nobody else.
+//! One page of text over HTTP, for Prometheus. The owner replaces it whole.
 
-use crate::fail::{BAD_ARGUMENT, Fail, IO};
+use crate::fail::Fail;
+use crate::http::{Door, Places};
+use axum::Router;
+use axum::extract::State;
+use axum::http::{Method, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
 use std::ffi::CString;
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
-use tiny_http::{Header, Method, Request, Response, Server};
+
+/// Readers at a time: some of Prometheus, each of which keeps a connection or two.
+const MAX_READERS: usize = 64;
+
+struct Shared {
+    page: Mutex<String>,
+    places: Arc<Places>,
+}
 
 pub struct Metrics {
-    server: Arc<Server>,
-    page: Arc<Mutex<String>>,
-    thread: Option<JoinHandle<()>>,
-    address: CString,
+    shared: Arc<Shared>,
+    door: Door,
 }
 
 impl Metrics {
     pub fn open(address: &str) -> Result<Metrics, Fail> {
-        if !address.contains(':') {
-            return Err(Fail::new(BAD_ARGUMENT, format!("metrics at {address}: give HOST:PORT, such as 127.0.0.1:9464")));
-        }
-        let server = Server::http(address).map_err(|e| {
-            Fail::new(IO, format!("cannot show metrics at {address}: is the port free and the address this machine's? ({e})"))
-        })?;
-        let address = CString::new(server.server_addr().to_string()).unwrap_or_default();
-        let (server, page) = (Arc::new(server), Arc::new(Mutex::new(String::new())));
-        let thread = {
-            let (server, page) = (server.clone(), page.clone());
-            std::thread::Builder::new().name("metrics".into()).spawn(move || {
-                for request in server.incoming_requests() {
-                    answer(request, &page);
-                }
-            })
-        };
-        let thread = thread.map_err(|e| Fail::new(IO, format!("no thread for metrics ({e}); raise the limit of threads")))?;
-        Ok(Metrics { server, page, thread: Some(thread), address })
+        let mut door = Door::open("metrics", address, MAX_READERS)?;
+        let shared = Arc::new(Shared { page: Mutex::default(), places: door.places.clone() });
+        door.serve(Router::new().fallback(answer).with_state(shared.clone()));
+        Ok(Metrics { shared, door })
     }
 
     pub fn address(&self) -> &CString {
-        &self.address
+        self.door.address()
     }
 
     pub fn set(&self, page: &str) {
-        *self.page.lock().unwrap() = page.to_string();
+        *self.shared.page.lock().unwrap() = page.to_string();
     }
 }
 
-impl Drop for Metrics {
-    fn drop(&mut self) {
-        self.server.unblock();
-        _ = self.thread.take().map(JoinHandle::join);
+async fn answer(State(shared): State<Arc<Shared>>, method: Method, uri: Uri) -> Response {
+    if method != Method::GET || uri.path() != "/metrics" {
+        return (StatusCode::NOT_FOUND, "GET /metrics is all there is\n").into_response();
     }
-}
-
-/// What is sent is a copy: no reader holds the lock. A reader who is gone needs no answer.
-fn answer(request: Request, page: &Mutex<String>) {
-    _ = if *request.method() != Method::Get || request.url() != "/metrics" {
-        request.respond(Response::from_string("GET /metrics is all there is\n").with_status_code(404))
-    } else {
-        let text = page.lock().unwrap().clone();
-        let kind = Header::from_bytes("Content-Type", "text/plain; version=0.0.4; charset=utf-8").unwrap();
-        request.respond(Response::from_string(text).with_header(kind))
-    };
+    let page = shared.page.lock().unwrap().clone();
+    let own = format!(
+        "# HELP crumple_http_refused_total Connections to this page that found all places taken.\n\
+         # TYPE crumple_http_refused_total counter\ncrumple_http_refused_total {}\n",
+        shared.places.refused()
+    );
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page + &own).into_response()
 }

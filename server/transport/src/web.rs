@@ -1,41 +1,45 @@
-//! Pages over HTTP and one WebSocket, /live, for browsers. The owner sets what stands under a path and, apart from that, a state: bytes
-//! under keys. Every browser is brought up to the state again and again: it gets what was set since the last batch that it got, each
-//! key once, and the next batch when it has answered, so that a slow or frozen one costs no more than the batches it has not answered
-//! yet, and finds the present when it goes on. What a browser says there beside that is not looked at. Where the owner takes requests
-//! (POST), they wait for it in a bounded line.
+//! Pages over HTTP and one WebSocket, /live, for browsers. The owner sets what stands under a path and, apart from that, a state:
+//! bytes under keys. Every browser is brought up to the state again and again: it gets what was set since the last batch that it
+//! got, each key once, and the next batch when it has answered, so that a slow or frozen one costs no more than the batches it has
+//! not answered yet, and finds the present when it goes on. A large state goes in several batches. What a browser says there beside
+//! that is not looked at. Where the owner takes requests (POST), they wait for it in a bounded line.
 
-use crate::fail::{BAD_ARGUMENT, Fail, IO};
+use crate::fail::{BAD_ARGUMENT, Fail};
+use crate::http::{Door, PATIENCE, Place, Places};
 use axum::Router;
 use axum::body::{Bytes, to_bytes};
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Request, State};
+use axum::extract::{Extension, Request, State};
 use axum::http::{HeaderMap, Method, StatusCode, Uri, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use futures_util::SinkExt;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ffi::CString;
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
-use tokio::net::TcpListener;
-use tokio::runtime::Runtime;
+use std::time::Duration;
 use tokio::sync::{oneshot, watch};
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 /// Batches that a browser may have unanswered: enough for 60 a second over a line of 60 ms there and back.
 const WINDOW: usize = 4;
 /// A batch waits so long for what else belongs to its tick.
 const GATHER: Duration = Duration::from_millis(4);
-/// A browser that answers nothing for so long is let go; its page comes back by itself when it can.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Bytes of a batch, or one slot, if that is longer: so much, twice, is copied for a browser that does not read. The rest of what
+/// it waits for is shared with the state.
+const MAX_BATCH: usize = 256 << 10;
+/// At a time, half of them of one address.
 const MAX_BROWSERS: usize = 256;
-/// Of a message of a browser: answers are empty.
+/// Connections at a time: those of the browsers, and as many that ask for pages.
+const MAX_CONNECTIONS: usize = 2 * MAX_BROWSERS;
+/// Bytes of a message of a browser, and of what is read at once: answers are empty.
 const MAX_ANSWER: usize = 1024;
 
 /// Of what is posted: a regions file of 8,000 dabs.
 const MAX_REQUEST: usize = 1 << 20;
+/// Requests at a time that arrive or wait.
 const MAX_WAITING: usize = 64;
 /// Until a request must have been answered.
 const ANSWERED: Duration = Duration::from_secs(30);
@@ -69,8 +73,9 @@ impl Drop for Waiting {
     }
 }
 
+#[derive(Clone)]
 struct Slot {
-    key: Box<str>,
+    key: Arc<str>,
     data: Bytes,
     since: Instant,
 }
@@ -80,7 +85,14 @@ struct Slot {
 struct Slots {
     last: u64,
     slots: BTreeMap<u64, Slot>,
-    numbers: HashMap<Box<str>, u64>,
+    numbers: HashMap<Arc<str>, u64>,
+}
+
+impl Slots {
+    /// What was set after number `sent`, in that order, and the last number.
+    fn since(&self, sent: u64) -> (VecDeque<Slot>, u64) {
+        (self.slots.range(sent + 1..).map(|(_, slot)| slot.clone()).collect(), self.last)
+    }
 }
 
 struct Page {
@@ -93,48 +105,42 @@ struct Shared {
     state: Mutex<Slots>,
     changed: watch::Sender<u64>,       // the last number
     requests: Mutex<Option<Requests>>, // None: nobody takes them
-    browsers: AtomicUsize,
+    places: Arc<Places>,
     loopback: bool, // reached from this machine only
 }
 
 pub struct Web {
     shared: Arc<Shared>,
     taken: Option<Asked>, // the last
-    address: CString,
-    runtime: Option<Runtime>,
+    door: Door,
 }
 
 impl Web {
     pub fn open(address: &str) -> Result<Web, Fail> {
-        if !address.contains(':') {
-            return Err(Fail::new(BAD_ARGUMENT, format!("page at {address}: give HOST:PORT, such as 127.0.0.1:8080")));
-        }
-        let cannot = |e: std::io::Error| {
-            Fail::new(IO, format!("cannot serve a page at {address}: is the port free and the address this machine's? ({e})"))
-        };
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("web").enable_all().build();
-        let runtime = runtime.map_err(cannot)?;
-        let listener = runtime.block_on(TcpListener::bind(address)).map_err(cannot)?;
-        let local = listener.local_addr().map_err(cannot)?;
+        let mut door = Door::open("a page", address, MAX_CONNECTIONS)?;
         let shared = Arc::new(Shared {
             pages: Mutex::default(),
             state: Mutex::default(),
             changed: watch::Sender::new(0),
             requests: Mutex::default(),
-            browsers: AtomicUsize::new(0),
-            loopback: local.ip().is_loopback(),
+            places: door.places.clone(),
+            loopback: door.local.ip().is_loopback(),
         });
         let router = Router::new()
             .route("/live", get(upgrade))
             .fallback(get(page).post(request))
             .layer(middleware::from_fn_with_state(shared.clone(), same_site))
             .with_state(shared.clone());
-        runtime.spawn(async move { axum::serve(listener, router).await });
-        Ok(Web { shared, taken: None, address: CString::new(local.to_string()).unwrap_or_default(), runtime: Some(runtime) })
+        door.serve(router);
+        Ok(Web { shared, taken: None, door })
     }
 
     pub fn address(&self) -> &CString {
-        &self.address
+        self.door.address()
+    }
+
+    pub fn refused(&self) -> u64 {
+        self.shared.places.refused()
     }
 
     pub fn page(&self, path: &str, media_type: &str, data: &[u8]) {
@@ -147,7 +153,7 @@ impl Web {
         let mut state = self.shared.state.lock().unwrap();
         state.last += 1;
         let number = state.last;
-        if let Some(older) = state.numbers.insert(key.into(), number) {
+        if let Some(older) = state.numbers.insert(slot.key.clone(), number) {
             state.slots.remove(&older);
         }
         state.slots.insert(number, slot);
@@ -180,14 +186,6 @@ impl Web {
         let mut state = self.shared.state.lock().unwrap();
         state.numbers.retain(|key, _| !key.starts_with(prefix));
         state.slots.retain(|_, slot| !slot.key.starts_with(prefix));
-    }
-}
-
-impl Drop for Web {
-    fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
     }
 }
 
@@ -227,12 +225,6 @@ async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Respons
     if shared.requests.lock().unwrap().is_none() {
         return (StatusCode::FORBIDDEN, "this page only shows the scene\n").into_response();
     }
-    let Ok(body) = timeout(ANSWERED, to_bytes(request.into_body(), MAX_REQUEST)).await else {
-        return (StatusCode::REQUEST_TIMEOUT, "the request did not arrive\n").into_response();
-    };
-    let Ok(data) = body else {
-        return (StatusCode::PAYLOAD_TOO_LARGE, "more than the 1 MiB that a request may have\n").into_response();
-    };
     let (waiting, answer) = {
         let mut all = shared.requests.lock().unwrap();
         let Some(requests) = all.as_mut().filter(|requests| requests.answers.len() < MAX_WAITING) else {
@@ -241,9 +233,17 @@ async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Respons
         requests.last += 1;
         let (ticket, (sender, answer)) = (requests.last, oneshot::channel());
         requests.answers.insert(ticket, sender);
-        requests.line.push_back(Asked { ticket, path, data });
         (Waiting { shared: shared.clone(), ticket }, answer)
     };
+    let Ok(body) = timeout(ANSWERED, to_bytes(request.into_body(), MAX_REQUEST)).await else {
+        return (StatusCode::REQUEST_TIMEOUT, "the request did not arrive\n").into_response();
+    };
+    let Ok(data) = body else {
+        return (StatusCode::PAYLOAD_TOO_LARGE, "more than the 1 MiB that a request may have\n").into_response();
+    };
+    if let Some(requests) = shared.requests.lock().unwrap().as_mut() {
+        requests.line.push_back(Asked { ticket: waiting.ticket, path, data });
+    }
     let answered = timeout(ANSWERED, answer).await;
     drop(waiting);
     match answered {
@@ -252,58 +252,81 @@ async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Respons
     }
 }
 
-async fn upgrade(State(shared): State<Arc<Shared>>, upgrade: WebSocketUpgrade) -> Response {
-    if shared.browsers.load(Relaxed) >= MAX_BROWSERS {
+async fn upgrade(
+    State(shared): State<Arc<Shared>>,
+    Extension(place): Extension<Arc<Place>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    if !shared.places.make_live(&place, MAX_BROWSERS) {
         return (StatusCode::SERVICE_UNAVAILABLE, "too many browsers watch here\n").into_response();
     }
-    upgrade.max_message_size(MAX_ANSWER).on_upgrade(|socket| async move {
-        shared.browsers.fetch_add(1, Relaxed);
+    let bounded = upgrade.read_buffer_size(MAX_ANSWER).max_frame_size(MAX_ANSWER).max_message_size(MAX_ANSWER);
+    bounded.write_buffer_size(0).on_upgrade(|socket| async move {
         live(socket, &shared).await;
-        shared.browsers.fetch_sub(1, Relaxed);
+        drop(place);
     })
 }
 
-/// Until the browser goes or is let go.
+/// Until the browser goes, or has answered nothing for too long; its page comes back by itself when it can.
 async fn live(mut socket: WebSocket, shared: &Shared) {
     let mut changed = shared.changed.subscribe();
     changed.mark_changed(); // all there is, at once
-    let (mut sent, mut unanswered) = (0, 0);
+    let (mut round, mut sent) = (VecDeque::new(), 0);
+    let (mut unanswered, mut heard) = (0, Instant::now());
     loop {
         tokio::select! {
             came = changed.changed(), if unanswered < WINDOW => {
                 if came.is_err() {
                     return;
                 }
-                sleep(GATHER).await;
-                changed.mark_unchanged();
-                let Some((batch, last)) = batch(&shared.state.lock().unwrap(), sent) else { continue };
-                if !matches!(timeout(PATIENCE, socket.send(Message::Binary(batch))).await, Ok(Ok(()))) {
+                let goes_on = !round.is_empty();
+                if !goes_on {
+                    sleep(GATHER).await;
+                    changed.mark_unchanged();
+                    (round, sent) = shared.state.lock().unwrap().since(sent);
+                }
+                let batch = batch(&mut round);
+                if goes_on || !round.is_empty() {
+                    changed.mark_changed(); // the rest, and what was set meanwhile
+                }
+                if batch.is_empty() {
+                    continue;
+                }
+                if !matches!(timeout(PATIENCE, socket.send(Message::Binary(batch.into()))).await, Ok(Ok(()))) {
                     return;
                 }
-                sent = last;
+                if unanswered == 0 {
+                    heard = Instant::now();
+                }
                 unanswered += 1;
             }
             answer = socket.recv() => match answer {
-                Some(Ok(Message::Binary(_))) => unanswered = unanswered.saturating_sub(1),
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
+                Some(Ok(Message::Binary(_))) => {
+                    unanswered = unanswered.saturating_sub(1);
+                    heard = Instant::now();
+                }
+                // Its pong must go before another one is made.
+                Some(Ok(Message::Ping(_))) => if !matches!(timeout(PATIENCE, socket.flush()).await, Ok(Ok(()))) {
+                    return;
+                },
+                Some(Ok(Message::Pong(_))) => {}
                 _ => return,
             },
-            _ = sleep(PATIENCE), if unanswered > 0 => return,
+            _ = sleep_until(heard + PATIENCE), if unanswered > 0 => return,
         }
     }
 }
 
-/// What was set after number `sent`, in that order, and the last number. transport.h says how it is laid out.
-fn batch(state: &Slots, sent: u64) -> Option<(Bytes, u64)> {
-    let slots = || state.slots.range(sent + 1..).map(|(_, slot)| slot);
-    let size = slots().map(|slot| 10 + slot.key.len() + slot.data.len()).sum();
-    let mut bytes = Vec::with_capacity(size);
-    for slot in slots() {
+/// The first of these; transport.h says how it is laid out.
+fn batch(round: &mut VecDeque<Slot>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while let Some(slot) = round.front().filter(|slot| bytes.is_empty() || bytes.len() + slot.data.len() <= MAX_BATCH) {
         bytes.extend_from_slice(&(slot.key.len() as u16).to_le_bytes());
         bytes.extend_from_slice(&(slot.data.len() as u32).to_le_bytes());
         bytes.extend_from_slice(&(slot.since.elapsed().as_millis() as u32).to_le_bytes());
         bytes.extend_from_slice(slot.key.as_bytes());
         bytes.extend_from_slice(&slot.data);
+        round.pop_front();
     }
-    (size > 0).then(|| (bytes.into(), state.last))
+    bytes
 }
