@@ -344,10 +344,12 @@ TEST(Import, RefusesEachBadMeshWithASentence) {
 std::string as_collada(const std::string& library, const std::string& nodes) {
   const std::string begin =
       R"(<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-    <library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="12">0 0 0 4 0 0 0 2 0 0 0 1</float_array>
+    <library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a"
+    count="12">0 0 0 4 0 0 0 2 0 0 0 1</float_array>
     <technique_common><accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
-    <param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/>
-    </vertices><triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2 0 1 3 0 2 3 1 2 3</p></triangles>
+    <param name="Z" type="float"/></accessor></technique_common></source><vertices id="v">
+    <input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2 0 1 3 0 2 3 1 2 3</p></triangles>
     </mesh></geometry></library_geometries><library_nodes>)";
   return begin + library + "</library_nodes><library_visual_scenes><visual_scene id=\"s\">" + nodes +
          "</visual_scene></library_visual_scenes><scene><instance_visual_scene url=\"#s\"/></scene></COLLADA>";
@@ -407,6 +409,10 @@ TEST(Import, RefusesAnInputThatIsNoneOrTooLarge) {
   std::filesystem::resize_file(files.write("vast.stl", ""), uintmax_t{100} << 30);
   expect_sentence(why(files.folder.path / "vast.stl"), "vast.stl", "larger than 512 MiB");
   expect_sentence(why("/dev/zero"), "/dev/zero", "a device");
+  std::filesystem::resize_file(files.write("vast.msh", ""), uintmax_t{100} << 30);
+  std::vector<std::string> report;
+  expect_sentence(refusal([&] { (void)import_tets(files.folder.path / "vast.msh", Eigen::Affine3d::Identity(), report); }),
+                  "vast.msh", "larger than 512 MiB");
 }
 
 TEST(Import, RefusesAxesThatAreNone) {
