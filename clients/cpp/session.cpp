@@ -601,7 +601,6 @@ void crumple_close(Crumple* handle) {
 }
 
 int crumple::client::poll(Crumple* session, uint64_t timeout_us) {
-  timeout_us = std::min(timeout_us, longest_wait);
   if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
   doubt_after_a_pause(*session);
   NetEvent events[64];

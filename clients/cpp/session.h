@@ -38,7 +38,6 @@ inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transpo
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
 inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
-inline constexpr uint64_t longest_wait = 3'600'000'000;    // us of a poll, an hour: so that no clock overflows
 // An asset comes in pieces of this size, so that a slow line brings each in time: the query's payload is the offset (8 bytes,
 // little endian; none: 0); a shorter answer is the last.
 inline constexpr size_t asset_piece = size_t{256} << 10;
