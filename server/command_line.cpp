@@ -5,7 +5,6 @@
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <functional>
 #include <sstream>
 
@@ -13,6 +12,7 @@
 #include "cpp/drive.h"
 #include "cpp/watch.h"
 #include "export.h"
+#include "files/files.h"
 #include "info.h"
 #include "protocol/key.h"
 #include "recording.h"
@@ -38,18 +38,30 @@ void on_signal(int signal) {
 const CLI::Validator id(
     [](std::string& text) -> std::string { return is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule; }, "ID");
 
-std::string read_file(const std::string& path) {
-  std::ifstream file(path);
-  if (!file || std::filesystem::is_directory(path))
-    throw CLI::FileError(path + ": cannot be read; is it there, and may this user read it?");
-  return {std::istreambuf_iterator<char>(file), {}};
+// A pipe may never end, and to open one waits until somebody writes.
+const CLI::Validator is_file(
+    [](std::string& path) -> std::string {
+      std::error_code none;
+      if (std::filesystem::is_regular_file(path, none)) return "";
+      return path + (std::filesystem::exists(path, none) ? ": is a folder, a pipe or a device; name a file"
+                                                         : ": there is no such file; check the path");
+    },
+    "FILE");
+
+// Of options.
+std::string read_text(const std::string& path) {
+  try {
+    return read_file(path, text_limit, "check the path, and that this user may read it");
+  } catch (const std::runtime_error& refused) {
+    throw CLI::FileError(refused.what());
+  }
 }
 
 // Of every verb with a network. text: what the file holds.
 void add_network(CLI::App& verb, std::string& text, const char* example) {
   const auto read = [&text](const std::string& path) {
     if (path.empty()) return;
-    text = read_file(path);
+    text = read_text(path);
     if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
   };
   verb.add_option_function<std::string>(
@@ -63,7 +75,7 @@ void add_network(CLI::App& verb, std::string& text, const char* example) {
 // looked at in the order in which they were added, so what is wrong by then is the file's fault.
 void add_config(CLI::App& verb) {
   const auto read = [&verb](const std::string& path) {
-    std::istringstream text(read_file(path));
+    std::istringstream text(read_text(path));
     try {
       verb.parse_from_stream(text);
     } catch (const CLI::Success&) {
@@ -98,10 +110,9 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
       ->delimiter(',')
       ->allow_extra_args(false)
       ->check(CLI::Range(100, 200'000));
-  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")
-      ->check(CLI::ExistingFile);
+  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
-      ->check(CLI::ExistingFile);
+      ->check(is_file);
   verb.add_option("--mass", bake.mass, "kg; default: a baked car's own, else 1500")->check(CLI::Range(1.0, 100'000.0));
   const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
   verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
@@ -122,7 +133,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
   verb.add_option("--car", options.cars, "baked cars that may be spawned; those of the same surface are levels of one car")
       ->required()
-      ->check(CLI::ExistingFile)
+      ->check(is_file)
       ->type_name("CAR");
   verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(id)->capture_default_str();
   verb.add_option("--listen", options.listen,
@@ -222,7 +233,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       verb.add_option("FILE", options.files,
                       "a recording, played again and again; two: beside each other, their difference as colours; "
                       "default: a server's scene")
-          ->check(CLI::ExistingFile)
+          ->check(is_file)
           ->expected(0, 2)
           ->type_name("FILE.mcap");
   CLI::Option* speed = verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
@@ -253,7 +264,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
 
 Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
-  verb.add_option("FILE", options.files, "recordings")->required()->check(CLI::ExistingFile);
+  verb.add_option("FILE", options.files, "recordings")->required()->check(is_file);
   CLI::Option* verify =
       verb.add_flag("--verify", options.verify,
                     "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
@@ -277,7 +288,7 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
 
 Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
-  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(CLI::ExistingFile);
+  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(is_file);
   verb.footer("Example: crumple info recordings/pole.mcap");
   return [&files] { return info(files); };
 }
@@ -285,7 +296,7 @@ Verb add_info(CLI::App& app, std::vector<std::string>& files) {
 Verb add_recover(CLI::App& app, RecoverOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
-  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(CLI::ExistingFile);
+  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(is_file);
   verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
   verb.footer(
       "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
@@ -297,7 +308,7 @@ Verb add_recover(CLI::App& app, RecoverOptions& options) {
 Verb add_export(CLI::App& app, ExportOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
-  verb.add_option("FILE", options.file, "recording")->required()->check(CLI::ExistingFile);
+  verb.add_option("FILE", options.file, "recording")->required()->check(is_file);
   verb.add_option("-o,--output", options.folder,
                   "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
       ->required()
@@ -357,6 +368,7 @@ int run(int argc, const char* const* argv) {
   }
   std::signal(SIGINT, on_signal);
   std::signal(SIGTERM, on_signal);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file at the limit of this process cannot be written: a sentence, not the end
   const auto all = app.get_subcommands({});
   for (size_t i = 0; i < verbs.size(); ++i)
     if (all[i]->parsed()) return verbs[i]();

@@ -7,13 +7,14 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <map>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 
 #include "cpp/obj.h"
 #include "cpp/surface.h"
+#include "files/files.h"
 #include "gltf.h"
 #include "recording.h"
 #include "schema/message_generated.h"
@@ -43,13 +44,14 @@ struct Actor {
 };
 
 struct Export {
-  explicit Export(const ExportOptions& o) : options(o), file(o.file) {}
+  explicit Export(const ExportOptions& o) : options(o), file(o.file) { row.precision(9); }
   const ExportOptions& options;
   RecordingReader file;
   std::map<std::string, Actor, std::less<>> actors;  // by car
-  std::ofstream csv;
-  double frame_time = 0;  // s, of the frame before
-  bool appeared = false;  // a car did in this tick: it is shown before more happens to it
+  std::optional<FileWriter> csv;                     // reactions.csv
+  std::ostringstream row;                            // of it, being made
+  double frame_time = 0;                             // s, of the frame before
+  bool appeared = false;                             // a car did in this tick: it is shown before more happens to it
   size_t objs = 0, glbs = 0, reactions = 0;
 
   std::string path(const std::string& name) const { return (std::filesystem::path(options.folder) / name).string(); }
@@ -97,11 +99,13 @@ void take_reactions(const RecordingReader::Item& item, Export& out) {
     Pose& pose = out.actors[r->car()->str()].pose;
     pose.position = {position.x(), position.y(), position.z()};
     pose.orientation = Eigen::Quaterniond(turn.w(), turn.x(), turn.y(), turn.z());
-    out.csv << message->tick() << ',' << static_cast<double>(message->tick()) / out.file.head().rate << ',' << r->car()->str();
-    for (const double x : {position.x(), position.y(), position.z()}) out.csv << ',' << x;
+    out.row.str({});
+    out.row << message->tick() << ',' << static_cast<double>(message->tick()) / out.file.head().rate << ',' << r->car()->str();
+    for (const double x : {position.x(), position.y(), position.z()}) out.row << ',' << x;
     for (const schema::Vec3* v : {r->velocity(), r->angular_velocity(), r->impulse(), r->angular_impulse()})
-      out.csv << ',' << v->x() << ',' << v->y() << ',' << v->z();
-    out.csv << ',' << r->energy_absorbed() << ',' << r->energy_stored() << ',' << r->deepest() << ',' << r->contacts() << '\n';
+      out.row << ',' << v->x() << ',' << v->y() << ',' << v->z();
+    out.row << ',' << r->energy_absorbed() << ',' << r->energy_stored() << ',' << r->deepest() << ',' << r->contacts() << '\n';
+    out.csv->put(out.row.view());
     ++out.reactions;
   }
 }
@@ -215,12 +219,11 @@ int export_recording(const ExportOptions& options) {
   std::filesystem::create_directories(options.folder, trouble);
   if (trouble)
     throw std::runtime_error(options.folder + ": cannot be made (" + trouble.message() + "): give -o another folder");
-  out.csv.open(out.path("reactions.csv"));
-  out.csv.precision(9);
-  out.csv
-      << "tick,time_s,car,x_m,y_m,z_m,velocity_x_m_s,velocity_y_m_s,velocity_z_m_s,angular_velocity_x_rad_s,"
-         "angular_velocity_y_rad_s,angular_velocity_z_rad_s,impulse_x_N_s,impulse_y_N_s,impulse_z_N_s,angular_impulse_x_N_m_s,"
-         "angular_impulse_y_N_m_s,angular_impulse_z_N_m_s,energy_absorbed_J,energy_stored_J,deepest_m,contacts\n";
+  out.csv.emplace(out.path("reactions.csv"));
+  out.csv->put(
+      "tick,time_s,car,x_m,y_m,z_m,velocity_x_m_s,velocity_y_m_s,velocity_z_m_s,angular_velocity_x_rad_s,"
+      "angular_velocity_y_rad_s,angular_velocity_z_rad_s,impulse_x_N_s,impulse_y_N_s,impulse_z_N_s,angular_impulse_x_N_m_s,"
+      "angular_impulse_y_N_m_s,angular_impulse_z_N_m_s,energy_absorbed_J,energy_stored_J,deepest_m,contacts\n");
   const double rate = out.file.head().rate;
   uint64_t tick = 0, shown_tick = 0;
   double frame = -1;
@@ -242,7 +245,7 @@ int export_recording(const ExportOptions& options) {
   if (tick > shown_tick) show_all();  // the end is always seen
   for (auto& [id, actor] : out.actors)
     if (actor.shown) end(actor, out);
-  if (!out.csv.flush()) throw std::runtime_error(out.path("reactions.csv") + ": cannot be written: give -o a folder that can");
+  out.csv->finish();
   std::printf("%s: %zu GLB, %zu OBJ, %zu reactions of %llu ticks%s\n", options.folder.c_str(), out.glbs, out.objs,
               out.reactions, static_cast<unsigned long long>(tick),
               out.file.cut() ? "; the file was cut off, exported up to its end" : "");

@@ -7,8 +7,9 @@
 #include <bit>
 #include <cmath>
 #include <cstdio>
-#include <fstream>
 #include <stdexcept>
+
+#include "files/files.h"
 
 namespace crumple {
 namespace {
@@ -99,13 +100,11 @@ std::string describe(const Animation& animation, uint64_t& size) {
 }
 
 template <class T>
-void put(std::ofstream& file, std::span<const T> values) {
-  file.write(reinterpret_cast<const char*>(values.data()), static_cast<std::streamsize>(values.size_bytes()));
+void put(FileWriter& file, std::span<const T> values) {
+  file.put(values.data(), values.size_bytes());
 }
 
-void put_words(std::ofstream& file, std::initializer_list<uint32_t> words) {
-  put(file, std::span(words.begin(), words.size()));
-}
+void put_words(FileWriter& file, std::initializer_list<uint32_t> words) { put(file, std::span(words.begin(), words.size())); }
 
 }  // namespace
 
@@ -115,9 +114,9 @@ void write_glb(const std::string& path, const Animation& animation) {
   json.resize((json.size() + 3) / 4 * 4, ' ');
   const uint64_t whole = 12 + 8 + json.size() + 8 + size;
   if (whole > UINT32_MAX) throw std::runtime_error(path + ": would be over the 4 GiB of a GLB file: lower --fps");
-  std::ofstream file(path, std::ios::binary);
+  FileWriter file(path);
   put_words(file, {0x46546c67, 2, uint32_t(whole), uint32_t(json.size()), 0x4e4f534a});  // "glTF", version; "JSON"
-  file << json;
+  file.put(json);
   put_words(file, {uint32_t(size), 0x004e4942});  // "BIN"
   put(file, animation.triangle);
   put(file, animation.vertex);
@@ -136,7 +135,7 @@ void write_glb(const std::string& path, const Animation& animation) {
     if (key.shape > 0) weights[key.shape - 1] = 1;
     put<float>(file, weights);
   }
-  if (!file.flush()) throw std::runtime_error(path + ": cannot be written: give -o a folder that can, with room");
+  file.finish();
 }
 
 }  // namespace crumple

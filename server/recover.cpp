@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <exception>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -73,10 +74,22 @@ Found survey(Reader* reader) {
   return found;
 }
 
+// Half a copy would pass for the whole recording.
+struct Unfinished {
+  std::string path;
+  int before = std::uncaught_exceptions();
+  ~Unfinished() {
+    std::error_code none;
+    if (std::uncaught_exceptions() > before && std::filesystem::is_regular_file(path, none))
+      std::filesystem::remove(path, none);
+  }
+};
+
 void copy(Reader* reader, uint32_t last, RecordingEnd end, const std::string& path) {
   Recorder* recorder = nullptr;
   need(recorder_open(path.c_str(), "crumple", program_name, &recorder));
   std::unique_ptr<Recorder, int (*)(Recorder*)> closer(recorder, recorder_close);
+  const Unfinished unfinished{path};
   const char *name, *type;
   const char* const* pairs;
   for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i)

@@ -340,6 +340,81 @@ TEST(Import, RefusesEachBadMeshWithASentence) {
   expect_sentence(why(files.write("bits.obj", vertices + faces)), "bits.obj", "1000 pieces");
 }
 
+// A tetrahedron as Collada, with nodes that others may name, and the nodes of the scene.
+std::string as_collada(const std::string& library, const std::string& nodes) {
+  const std::string begin =
+      R"(<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+    <library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a"
+    count="12">0 0 0 4 0 0 0 2 0 0 0 1</float_array>
+    <technique_common><accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+    <param name="Z" type="float"/></accessor></technique_common></source><vertices id="v">
+    <input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2 0 1 3 0 2 3 1 2 3</p></triangles>
+    </mesh></geometry></library_geometries><library_nodes>)";
+  return begin + library + "</library_nodes><library_visual_scenes><visual_scene id=\"s\">" + nodes +
+         "</visual_scene></library_visual_scenes><scene><instance_visual_scene url=\"#s\"/></scene></COLLADA>";
+}
+
+std::string repeated(const std::string& text, size_t times) {
+  std::string out;
+  for (size_t i = 0; i < times; ++i) out += text;
+  return out;
+}
+
+TEST(Import, NodesWithinNodesEndInASentenceHoweverDeep) {
+  const Files files;
+  const auto nested = [](size_t levels) {
+    return as_collada("", repeated("<node>", levels) + "<instance_geometry url=\"#g\"/>" + repeated("</node>", levels));
+  };
+  EXPECT_EQ(import_surface(files.write("few.dae", nested(900)), {}).surface.vertex.size(), 4u);
+  const auto why = [&](const std::filesystem::path& file) { return refusal([&] { (void)import_surface(file, {}); }); };
+  expect_sentence(why(files.write("many.dae", nested(1100))), "many.dae", "nested deeper than 1000");
+  expect_sentence(why(files.write("most.dae", nested(60'000))), "most.dae", "nested thousands deep");
+  const std::string self = "<node id=\"n\"><instance_geometry url=\"#g\"/><instance_node url=\"#n\"/></node>";
+  expect_sentence(why(files.write("self.dae", as_collada(self, "<node><instance_node url=\"#n\"/></node>"))), "self.dae",
+                  "nested thousands deep");
+  std::string nodes;
+  for (int i = 0; i < 30'000; ++i) nodes += "{\"children\":[" + std::to_string(i + 1) + "]},";
+  expect_sentence(why(files.write("most.gltf", R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[)" +
+                                                   nodes + "{}]}")),
+                  "most.gltf", "nested thousands deep");
+}
+
+// Each names the next one twice.
+std::filesystem::path write_doubling(const Files& files, int levels) {
+  std::string nodes;
+  for (int i = 0; i < levels; ++i) {
+    const std::string next = std::to_string(i + 1);
+    nodes += "{\"children\":[" + next + "," + next + "]},";
+  }
+  files.write("points.bin", std::string(720, '\x3f'));
+  return files.write("doubling.gltf", R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[)" + nodes +
+                                          R"({"mesh":0}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+    "accessors":[{"bufferView":0,"componentType":5126,"count":60,"type":"VEC3","min":[0,0,0],"max":[1,1,1]}],
+    "bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":720}],"buffers":[{"uri":"points.bin","byteLength":720}]})");
+}
+
+TEST(Import, NodesThatAreNamedAgainAndAgainAreCountedBeforeTheyFillTheMemory) {
+  const Files files;
+  const auto why = [&](int levels) { return refusal([&] { (void)import_surface(write_doubling(files, levels), {}); }); };
+  expect_sentence(why(16), "doubling.gltf", "over 3200000 vertices");
+#if !defined(__SANITIZE_ADDRESS__)  // there the memory of a process cannot be bounded
+  expect_sentence(why(60), "doubling.gltf", "over 2 GiB of memory");
+#endif
+}
+
+TEST(Import, RefusesAnInputThatIsNoneOrTooLarge) {
+  const Files files;
+  const auto why = [&](const std::filesystem::path& file) { return refusal([&] { (void)import_surface(file, {}); }); };
+  std::filesystem::resize_file(files.write("vast.stl", ""), uintmax_t{100} << 30);
+  expect_sentence(why(files.folder.path / "vast.stl"), "vast.stl", "larger than 512 MiB");
+  expect_sentence(why("/dev/zero"), "/dev/zero", "a device");
+  std::filesystem::resize_file(files.write("vast.msh", ""), uintmax_t{100} << 30);
+  std::vector<std::string> report;
+  expect_sentence(refusal([&] { (void)import_tets(files.folder.path / "vast.msh", Eigen::Affine3d::Identity(), report); }),
+                  "vast.msh", "larger than 512 MiB");
+}
+
 TEST(Import, RefusesAxesThatAreNone) {
   const Files files;
   const auto file = files.write("box.obj", as_obj(box_surface()));

@@ -2,7 +2,9 @@
 // Pull-based: nothing is ever called back. crumple_poll takes in what has arrived; everything else reads what it left.
 // Strings and views that come out stay valid until the next crumple_poll or crumple_feed. One thread at a time uses a session.
 // Units are SI, axes of the world are z up, of a car x forward, y left, z up; orientations are unit quaternions (x, y, z, w).
-// Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence.
+// Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence. Any pointer may be
+// NULL and a session closed: where a function needs it, that is CRUMPLE_BAD_ARGUMENT, or 0 where it counts, and nothing is
+// done.
 #pragma once
 
 #include <stddef.h>
@@ -23,6 +25,7 @@ enum CrumpleStatus {
   CRUMPLE_DROPPED = -3,       // the session's own queue was full: not sent
   CRUMPLE_NO_ANSWER = -4,     // the server did not answer in time
   CRUMPLE_UNKNOWN = -5,       // no such car, ticket or asset
+  CRUMPLE_NO_MEMORY = -6,     // there was none left
 };
 
 // The sentence for the last error of this thread; valid until its next call.
@@ -43,6 +46,7 @@ typedef struct CrumpleOptions {
 // nobody has (zenoh breaks such a link otherwise): no other thread may read the environment meanwhile, and it must be the first
 // session of the process.
 int crumple_open(const CrumpleOptions*, Crumple** out);
+// A session that was closed stays closed: its handle never comes again, and to close it twice does nothing.
 void crumple_close(Crumple*);
 
 // Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative

@@ -63,6 +63,15 @@ int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Of
   return CRUMPLE_OK;
 }
 
+int find_answer(Crumple& session, uint64_t ticket, CrumpleAnswer* out) {
+  const auto at = session.answers.find(ticket);
+  if (at == session.answers.end()) return fail(CRUMPLE_UNKNOWN, "no such ticket among the last 256 commands");
+  const CommandAnswer& answer = at->second;
+  if (!answer.arrived) return CRUMPLE_PENDING;
+  *out = {answer.ok, answer.tick, answer.sentence.c_str(), answer.state.data(), answer.state.size()};
+  return CRUMPLE_OK;
+}
+
 }  // namespace
 
 CrumpleParameters crumple_keep(void) {
@@ -70,133 +79,161 @@ CrumpleParameters crumple_keep(void) {
   return {-1, 0, 0, keep, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep};
 }
 
-int crumple_spawn(Crumple* session, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
-  if (session->host.empty())
-    return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
-  if (!good_pose(spawn->pose)) return refuse_pose(car ? car : "a car");
-  flatbuffers::FlatBufferBuilder builder;
-  const schema::Pose pose = pose_of(spawn->pose);
-  const schema::Vec3 inertia = vector_of(spawn->inertia), center = vector_of(spawn->center_of_mass);
-  const auto given = [](const float(&v)[3]) { return v[0] != 0 || v[1] != 0 || v[2] != 0; };
-  const auto body = schema::CreateSpawnDirect(builder, asset, session->host.c_str(), &pose, spawn->mass,
-                                              given(spawn->inertia) ? &inertia : nullptr,
-                                              given(spawn->center_of_mass) ? &center : nullptr, spawn->planar != 0);
-  return order(*session, car, schema::Order::Spawn, body.Union(), builder, ticket);
+int crumple_spawn(Crumple* handle, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"asset", asset}, {"spawn", spawn}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    if (!is_id(asset)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+    if (session->host.empty())
+      return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
+    if (!good_pose(spawn->pose)) return refuse_pose(car);
+    flatbuffers::FlatBufferBuilder builder;
+    const schema::Pose pose = pose_of(spawn->pose);
+    const schema::Vec3 inertia = vector_of(spawn->inertia), center = vector_of(spawn->center_of_mass);
+    const auto any = [](const float(&v)[3]) { return v[0] != 0 || v[1] != 0 || v[2] != 0; };
+    const auto body = schema::CreateSpawnDirect(builder, asset, session->host.c_str(), &pose, spawn->mass,
+                                                any(spawn->inertia) ? &inertia : nullptr,
+                                                any(spawn->center_of_mass) ? &center : nullptr, spawn->planar != 0);
+    return order(*session, car, schema::Order::Spawn, body.Union(), builder, ticket);
+  });
 }
 
-int crumple_despawn(Crumple* session, const char* car, uint64_t* ticket) {
-  flatbuffers::FlatBufferBuilder builder;
-  return order(*session, car, schema::Order::Despawn, schema::CreateDespawn(builder).Union(), builder, ticket);
+int crumple_despawn(Crumple* handle, const char* car, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    flatbuffers::FlatBufferBuilder builder;
+    return order(*session, car, schema::Order::Despawn, schema::CreateDespawn(builder).Union(), builder, ticket);
+  });
 }
 
-int crumple_repair(Crumple* session, const char* car, float amount, uint64_t* ticket) {
-  flatbuffers::FlatBufferBuilder builder;
-  return order(*session, car, schema::Order::Repair, schema::CreateRepair(builder, amount).Union(), builder, ticket);
+int crumple_repair(Crumple* handle, const char* car, float amount, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    flatbuffers::FlatBufferBuilder builder;
+    return order(*session, car, schema::Order::Repair, schema::CreateRepair(builder, amount).Union(), builder, ticket);
+  });
 }
 
-int crumple_set_parameters(Crumple* session, const char* car, const CrumpleParameters* parameters, uint64_t* ticket) {
-  if (parameters->iterations > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "iterations is over 65535");
-  if (parameters->substeps > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "substeps is over 65535");
-  if (parameters->region < -1 || parameters->region > 127) return fail(CRUMPLE_BAD_ARGUMENT, "region is not in [-1, 127]");
-  if (parameters->solver < -1 || parameters->solver > 1) return fail(CRUMPLE_BAD_ARGUMENT, "solver is not -1, 0 or 1");
-  flatbuffers::FlatBufferBuilder builder;
-  schema::ParametersBuilder to(builder);
-  if (parameters->solver >= 0) to.add_solver(static_cast<schema::Solver>(parameters->solver));
-  if (parameters->iterations) to.add_iterations(static_cast<uint16_t>(parameters->iterations));
-  if (parameters->substeps) to.add_substeps(static_cast<uint16_t>(parameters->substeps));
-  to.add_region(static_cast<int8_t>(parameters->region));
-  const auto add = [&](float value, auto setter) {
-    if (!std::isnan(value)) (to.*setter)(value);
-  };
-  using To = schema::ParametersBuilder;
-  add(parameters->young_modulus, &To::add_young_modulus);
-  add(parameters->poisson_ratio, &To::add_poisson_ratio);
-  add(parameters->yield, &To::add_yield);
-  add(parameters->hardening, &To::add_hardening);
-  add(parameters->plastic_limit, &To::add_plastic_limit);
-  add(parameters->viscosity, &To::add_viscosity);
-  add(parameters->distance_stiffness, &To::add_distance_stiffness);
-  add(parameters->volume_stiffness, &To::add_volume_stiffness);
-  add(parameters->plasticity, &To::add_plasticity);
-  add(parameters->tolerance, &To::add_tolerance);
-  return order(*session, car, schema::Order::Parameters, to.Finish().Union(), builder, ticket);
+int crumple_set_parameters(Crumple* handle, const char* car, const CrumpleParameters* parameters, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"parameters", parameters}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    if (parameters->iterations > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "iterations is over 65535");
+    if (parameters->substeps > 65535) return fail(CRUMPLE_BAD_ARGUMENT, "substeps is over 65535");
+    if (parameters->region < -1 || parameters->region > 127) return fail(CRUMPLE_BAD_ARGUMENT, "region is not in [-1, 127]");
+    if (parameters->solver < -1 || parameters->solver > 1) return fail(CRUMPLE_BAD_ARGUMENT, "solver is not -1, 0 or 1");
+    flatbuffers::FlatBufferBuilder builder;
+    schema::ParametersBuilder to(builder);
+    if (parameters->solver >= 0) to.add_solver(static_cast<schema::Solver>(parameters->solver));
+    if (parameters->iterations) to.add_iterations(static_cast<uint16_t>(parameters->iterations));
+    if (parameters->substeps) to.add_substeps(static_cast<uint16_t>(parameters->substeps));
+    to.add_region(static_cast<int8_t>(parameters->region));
+    const auto add = [&](float value, auto setter) {
+      if (!std::isnan(value)) (to.*setter)(value);
+    };
+    using To = schema::ParametersBuilder;
+    add(parameters->young_modulus, &To::add_young_modulus);
+    add(parameters->poisson_ratio, &To::add_poisson_ratio);
+    add(parameters->yield, &To::add_yield);
+    add(parameters->hardening, &To::add_hardening);
+    add(parameters->plastic_limit, &To::add_plastic_limit);
+    add(parameters->viscosity, &To::add_viscosity);
+    add(parameters->distance_stiffness, &To::add_distance_stiffness);
+    add(parameters->volume_stiffness, &To::add_volume_stiffness);
+    add(parameters->plasticity, &To::add_plasticity);
+    add(parameters->tolerance, &To::add_tolerance);
+    return order(*session, car, schema::Order::Parameters, to.Finish().Union(), builder, ticket);
+  });
 }
 
-int crumple_save(Crumple* session, const char* car, uint64_t* ticket) {
-  flatbuffers::FlatBufferBuilder builder;
-  return order(*session, car, schema::Order::Save, schema::CreateSave(builder).Union(), builder, ticket);
+int crumple_save(Crumple* handle, const char* car, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    flatbuffers::FlatBufferBuilder builder;
+    return order(*session, car, schema::Order::Save, schema::CreateSave(builder).Union(), builder, ticket);
+  });
 }
 
-int crumple_load(Crumple* session, const char* car, const void* state, size_t size, uint64_t* ticket) {
-  flatbuffers::FlatBufferBuilder builder;
-  const auto bytes = builder.CreateVector(static_cast<const uint8_t*>(state), size);
-  return order(*session, car, schema::Order::Load, schema::CreateLoad(builder, bytes).Union(), builder, ticket);
+int crumple_load(Crumple* handle, const char* car, const void* state, size_t size, uint64_t* ticket) {
+  return with(handle, {{"car", car}, {"state", state}, {"ticket", ticket}}, [&](Crumple* session) -> int {
+    if (size > message_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the state is over 64 MiB");
+    flatbuffers::FlatBufferBuilder builder;
+    const auto bytes = builder.CreateVector(static_cast<const uint8_t*>(state), size);
+    return order(*session, car, schema::Order::Load, schema::CreateLoad(builder, bytes).Union(), builder, ticket);
+  });
 }
 
-int crumple_answer(Crumple* session, uint64_t ticket, CrumpleAnswer* out) {
-  const auto at = session->answers.find(ticket);
-  if (at == session->answers.end()) return fail(CRUMPLE_UNKNOWN, "no such ticket among the last 256 commands");
-  const CommandAnswer& answer = at->second;
-  if (!answer.arrived) return CRUMPLE_PENDING;
-  *out = {answer.ok, answer.tick, answer.sentence.c_str(), answer.state.data(), answer.state.size()};
-  return CRUMPLE_OK;
+int crumple_answer(Crumple* handle, uint64_t ticket, CrumpleAnswer* out) {
+  return with(handle, {{"out", out}}, [&](Crumple* session) { return find_answer(*session, ticket, out); });
 }
 
-int crumple_wait(Crumple* session, uint64_t ticket, CrumpleAnswer* out) {
-  // A little longer than the query itself, whose end is the sentence that the caller should get.
-  const auto deadline = Clock::now() + session->timeout + std::chrono::seconds(1);
-  for (;;) {
-    const int status = crumple_answer(session, ticket, out);
-    if (status != CRUMPLE_PENDING) return status;
-    const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
-    if (left.count() <= 0) return fail(CRUMPLE_NO_ANSWER, "the server did not answer within the timeout of the session");
-    if (const int got = crumple_poll(session, static_cast<uint64_t>(left.count())); got < 0) return got;
-  }
+int crumple_wait(Crumple* handle, uint64_t ticket, CrumpleAnswer* out) {
+  return with(handle, {{"out", out}}, [&](Crumple* session) -> int {
+    // A little longer than the query itself, whose end is the sentence that the caller should get.
+    const auto deadline = Clock::now() + session->timeout + std::chrono::seconds(1);
+    for (;;) {
+      const int status = find_answer(*session, ticket, out);
+      if (status != CRUMPLE_PENDING) return status;
+      const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
+      if (left.count() <= 0) return fail(CRUMPLE_NO_ANSWER, "the server did not answer within the timeout of the session");
+      if (const int got = poll(session, static_cast<uint64_t>(left.count())); got < 0) return got;
+    }
+  });
 }
 
-int crumple_publish_poses(Crumple* session, double time, const CrumpleCarPose* cars, size_t count) {
-  flatbuffers::FlatBufferBuilder builder;
-  std::vector<flatbuffers::Offset<schema::CarPose>> list;
-  for (size_t i = 0; i < count; ++i) {
-    const CrumpleCarPose& car = cars[i];
-    if (!is_id(car.car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
-    if (!good_pose(car.pose)) return refuse_pose(car.car);
-    if (!finite(car.velocity, 3) || !finite(car.angular_velocity, 3))
-      return fail(CRUMPLE_BAD_ARGUMENT, std::string("the velocity of ") + car.car + " is not finite");
-    const schema::Pose pose = pose_of(car.pose);
-    const schema::Vec3 velocity = vector_of(car.velocity), turn = vector_of(car.angular_velocity);
-    const float importance = car.importance == 0 ? 1 : car.importance;
-    list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen, importance));
-  }
-  builder.Finish(schema::CreatePosesDirect(builder, ++session->sequence, time, &list));
-  return put(*session, "poses", builder);
+int crumple_publish_poses(Crumple* handle, double time, const CrumpleCarPose* cars, size_t count) {
+  return with(handle, {}, [&](Crumple* session) -> int {
+    if (count > 0 && !given({{"cars", cars}})) return CRUMPLE_BAD_ARGUMENT;
+    if (count > list_limit) return fail(CRUMPLE_BAD_ARGUMENT, "there are over 10000 poses");
+    flatbuffers::FlatBufferBuilder builder;
+    std::vector<flatbuffers::Offset<schema::CarPose>> list;
+    for (size_t i = 0; i < count; ++i) {
+      const CrumpleCarPose& car = cars[i];
+      if (!is_id(car.car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+      if (!good_pose(car.pose)) return refuse_pose(car.car);
+      if (!finite(car.velocity, 3) || !finite(car.angular_velocity, 3))
+        return fail(CRUMPLE_BAD_ARGUMENT, std::string("the velocity of ") + car.car + " is not finite");
+      const schema::Pose pose = pose_of(car.pose);
+      const schema::Vec3 velocity = vector_of(car.velocity), turn = vector_of(car.angular_velocity);
+      const float importance = car.importance == 0 ? 1 : car.importance;
+      list.push_back(schema::CreateCarPoseDirect(builder, car.car, &pose, &velocity, &turn, car.seen, importance));
+    }
+    builder.Finish(schema::CreatePosesDirect(builder, ++session->sequence, time, &list));
+    return put(*session, "poses", builder);
+  });
 }
 
-int crumple_publish_obstacles(Crumple* session, const CrumpleObstacle* obstacles, size_t count) {
-  flatbuffers::FlatBufferBuilder builder;
-  std::vector<flatbuffers::Offset<schema::Obstacle>> list;
-  for (size_t i = 0; i < count; ++i) {
-    const CrumpleObstacle& from = obstacles[i];
-    if (from.shape < CRUMPLE_BOX || from.shape > CRUMPLE_HULL) return fail(CRUMPLE_BAD_ARGUMENT, "shape is not a CrumpleShape");
-    if (!good_pose(from.pose)) return refuse_pose("obstacle " + std::to_string(from.id));
-    const schema::Pose pose = pose_of(from.pose);
-    const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity),
-                       turn = vector_of(from.angular_velocity);
-    std::vector<schema::Vec3> points;
-    for (size_t k = 0; k < from.point_count; ++k) points.push_back(vector_of(from.points + 3 * k));
-    list.push_back(schema::CreateObstacleDirect(builder, from.id, static_cast<schema::Shape>(from.shape), &size, &points, &pose,
-                                                &velocity, &turn, from.friction));
-  }
-  builder.Finish(schema::CreateObstaclesDirect(builder, ++session->sequence, &list));
-  session->obstacles.assign(builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize());
-  return put(*session, "obstacles", builder);
+int crumple_publish_obstacles(Crumple* handle, const CrumpleObstacle* obstacles, size_t count) {
+  return with(handle, {}, [&](Crumple* session) -> int {
+    if (count > 0 && !given({{"obstacles", obstacles}})) return CRUMPLE_BAD_ARGUMENT;
+    if (count > list_limit) return fail(CRUMPLE_BAD_ARGUMENT, "there are over 10000 obstacles");
+    size_t left = point_limit;
+    flatbuffers::FlatBufferBuilder builder;
+    std::vector<flatbuffers::Offset<schema::Obstacle>> list;
+    for (size_t i = 0; i < count; ++i) {
+      const CrumpleObstacle& from = obstacles[i];
+      if (from.shape < CRUMPLE_BOX || from.shape > CRUMPLE_HULL)
+        return fail(CRUMPLE_BAD_ARGUMENT, "shape is not a CrumpleShape");
+      if (!good_pose(from.pose)) return refuse_pose("obstacle " + std::to_string(from.id));
+      const schema::Pose pose = pose_of(from.pose);
+      const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity),
+                         turn = vector_of(from.angular_velocity);
+      if (from.point_count > 0 && !given({{"points of an obstacle", from.points}})) return CRUMPLE_BAD_ARGUMENT;
+      if (from.point_count > left) return fail(CRUMPLE_BAD_ARGUMENT, "the hulls have over 100000 points together");
+      left -= from.point_count;
+      std::vector<schema::Vec3> points;
+      for (size_t k = 0; k < from.point_count; ++k) points.push_back(vector_of(from.points + 3 * k));
+      list.push_back(schema::CreateObstacleDirect(builder, from.id, static_cast<schema::Shape>(from.shape), &size, &points,
+                                                  &pose, &velocity, &turn, from.friction));
+    }
+    builder.Finish(schema::CreateObstaclesDirect(builder, ++session->sequence, &list));
+    session->obstacles.assign(builder.GetBufferPointer(), builder.GetBufferPointer() + builder.GetSize());
+    return put(*session, "obstacles", builder);
+  });
 }
 
-size_t crumple_take_reactions(Crumple* session, CrumpleReaction* out, size_t capacity) {
+size_t crumple_take_reactions(Crumple* handle, CrumpleReaction* out, size_t capacity) {
   size_t count = 0;
-  for (; count < capacity && !session->reactions.empty(); ++count) {
-    out[count] = session->reactions.front();
-    session->reactions.pop_front();
-  }
+  with(handle, {}, [&](Crumple* session) {
+    if (capacity > 0 && !given({{"out", out}})) return CRUMPLE_BAD_ARGUMENT;
+    for (; count < capacity && !session->reactions.empty(); ++count) {
+      out[count] = session->reactions.front();
+      session->reactions.pop_front();
+    }
+    return CRUMPLE_OK;
+  });
   return count;
 }

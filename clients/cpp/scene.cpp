@@ -2,10 +2,11 @@
 #include "cpp/scene.h"
 
 #include <flatbuffers/idl.h>
-#include <flatbuffers/util.h>
 
 #include <cmath>
 #include <stdexcept>
+
+#include "files/files.h"
 
 // SCENE_BFBS: schema/scene.fbs with what it includes, compiled by flatc.
 asm(".pushsection .rodata\n.balign 8\nscene_schema:\n.incbin \"" SCENE_BFBS "\"\nscene_schema_end:\n.popsection");
@@ -34,8 +35,7 @@ void check(const std::string& file, const schema::SceneT& scene) {
 
 template <class Table>
 typename Table::NativeTableType parse(const std::string& file, const char* root) {
-  std::string text;
-  if (!flatbuffers::LoadFile(file.c_str(), false, &text)) refuse(file, "cannot be read: check the path");
+  const std::string text = read_file(file, text_limit, "give a file in the form of schema/scene.fbs");
   flatbuffers::Parser parser;
   if (!parser.Deserialize(scene_schema, static_cast<size_t>(scene_schema_end - scene_schema)) || !parser.SetRootType(root))
     refuse(file, "the schema inside this program is damaged: build it again");

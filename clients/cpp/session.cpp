@@ -9,6 +9,10 @@
 #include <array>
 #include <cstdio>
 #include <cstring>
+#include <memory>
+#include <mutex>
+#include <shared_mutex>
+#include <unordered_map>
 #include <utility>
 
 #include "protocol/key.h"
@@ -402,7 +406,7 @@ int begin(Crumple& session, const char* connect, const char* network) {
       return fail(CRUMPLE_CLOSED, "no server of scene " +
                                       session.root.substr(key_root.size(), session.root.size() - key_root.size() - 1) +
                                       " answers at " + connect + ": start `crumple serve --scene ...`, or give its scene");
-    if (const int got = crumple_poll(&session, static_cast<uint64_t>(left.count())); got < 0) return got;
+    if (const int got = poll(&session, static_cast<uint64_t>(left.count())); got < 0) return got;
   }
   return CRUMPLE_OK;
 }
@@ -494,6 +498,47 @@ int fail(int status, std::string sentence) {
 
 bool is_id(const char* text) { return text && crumple::is_id(std::string_view(text, strnlen(text, id_length_limit + 1))); }
 
+namespace {
+
+struct Sessions {
+  std::shared_mutex lock;
+  std::unordered_map<const Crumple*, std::unique_ptr<Crumple>> all;
+  uintptr_t last = 0;
+};
+
+// Never destroyed: a game may close its session after the end of main.
+Sessions& sessions() {
+  static auto* all = new Sessions;
+  return *all;
+}
+
+}  // namespace
+
+Crumple* find(const Crumple* handle) {
+  Sessions& known = sessions();
+  {
+    const std::shared_lock hold(known.lock);
+    if (const auto at = known.all.find(handle); at != known.all.end()) return at->second.get();
+  }
+  fail(CRUMPLE_BAD_ARGUMENT,
+       handle ? "the session was closed, or is none: crumple_open gives one" : "session is NULL: crumple_open gives one");
+  return nullptr;
+}
+
+bool given(std::initializer_list<Argument> needed) {
+  for (const Argument& argument : needed) {
+    if (argument.value) continue;
+    fail(CRUMPLE_BAD_ARGUMENT, std::string(argument.name) + " is NULL: crumple_client.h says what to give");
+    return false;
+  }
+  return true;
+}
+
+int fail_without_memory() noexcept {
+  last_error.assign("no memory");  // short enough to take none itself
+  return CRUMPLE_NO_MEMORY;
+}
+
 }  // namespace crumple::client
 
 using namespace crumple::client;
@@ -501,38 +546,49 @@ using namespace crumple::client;
 const char* crumple_error(void) { return last_error.c_str(); }
 
 int crumple_open(const CrumpleOptions* options, Crumple** out) {
-  if (!options || !out || options->version != CRUMPLE_CLIENT_VERSION)
-    return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
-  if (!is_id(options->scene) || (options->host && !is_id(options->host)))
-    return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
-  const char* network = options->network && *options->network ? options->network : nullptr;
-  if (network && net_check(network) != 0)
-    return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());
-  auto* session = new Crumple;
-  session->root = crumple::root_of(options->scene);
-  session->host = options->host ? options->host : "";
-  if (options->timeout_ms) session->timeout = std::chrono::milliseconds(options->timeout_ms);
-  // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
-  session->sequence = static_cast<uint64_t>(
-      std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
-  int status = CRUMPLE_OK;
-  if (options->connect) status = begin(*session, options->connect, network);
-  if (status != CRUMPLE_OK) {
-    const std::string sentence = last_error;
-    crumple_close(session);
-    return fail(status, sentence);
-  }
-  *out = session;
-  return CRUMPLE_OK;
+  return guarded({{"options", options}, {"out", out}}, [&]() -> int {
+    *out = nullptr;
+    if (options->version != CRUMPLE_CLIENT_VERSION)
+      return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
+    if (!is_id(options->scene) || (options->host && !is_id(options->host)))
+      return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
+    const char* network = options->network && *options->network ? options->network : nullptr;
+    if (network && net_check(network) != 0)
+      return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());
+    auto session = std::make_unique<Crumple>();
+    session->root = crumple::root_of(options->scene);
+    session->host = options->host ? options->host : "";
+    if (options->timeout_ms) session->timeout = std::chrono::milliseconds(options->timeout_ms);
+    // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
+    session->sequence = static_cast<uint64_t>(
+        std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
+    const int status = options->connect ? begin(*session, options->connect, network) : CRUMPLE_OK;
+    if (status != CRUMPLE_OK) return status;
+    Sessions& known = sessions();
+    const std::unique_lock hold(known.lock);
+    const auto handle = reinterpret_cast<Crumple*>(16 * ++known.last);
+    known.all.emplace(handle, std::move(session));
+    *out = handle;
+    return CRUMPLE_OK;
+  });
 }
 
-void crumple_close(Crumple* session) {
-  if (!session) return;
-  if (session->net) net_close(session->net);
-  delete session;
+Crumple::~Crumple() {
+  if (net) net_close(net);
 }
 
-int crumple_poll(Crumple* session, uint64_t timeout_us) {
+void crumple_close(Crumple* handle) {
+  if (!handle) return;
+  with(handle, {}, [&](Crumple*) {
+    Sessions& known = sessions();
+    std::unique_lock hold(known.lock);
+    const auto closed = known.all.extract(handle);
+    hold.unlock();  // others need not wait for a line to be closed
+    return CRUMPLE_OK;
+  });
+}
+
+int crumple::client::poll(Crumple* session, uint64_t timeout_us) {
   if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
   doubt_after_a_pause(*session);
   NetEvent events[64];
@@ -554,87 +610,117 @@ int crumple_poll(Crumple* session, uint64_t timeout_us) {
   return total;
 }
 
-void crumple_statistics(const Crumple* session, CrumpleStatistics* out) { *out = session->statistics; }
-
-double crumple_time(const Crumple* session) {
-  const ServerClock& clock = session->clock;
-  return session->net ? clock.now() : static_cast<double>(clock.tick) / clock.rate;
+int crumple_poll(Crumple* handle, uint64_t timeout_us) {
+  return with(handle, {}, [&](Crumple* session) { return poll(session, timeout_us); });
 }
 
-int crumple_impair(Crumple* session, const CrumpleImpairment* line) {
-  if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
-  const auto within = [](float value, float most) { return value >= 0 && value <= most; };
-  if (!within(line->delay, 60) || !within(line->jitter, 60) || !within(line->loss, 1) || !within(line->repeat, 1))
-    return fail(CRUMPLE_BAD_ARGUMENT, "an impairment's delay or jitter is not from 0 to 60 s, or a share not from 0 to 1");
-  session->impaired.line = *line;
-  session->impaired.draw.seed(line->seed);
-  return CRUMPLE_OK;
-}
-
-int crumple_feed(Crumple* session, const char* key, const void* bytes, size_t size) {
-  if (session->net)
-    return fail(CRUMPLE_BAD_ARGUMENT, "this session has a network: open one without options.connect to feed it");
-  std::vector<uint64_t> aligned((size + 7) / 8);
-  if (size > 0) std::memcpy(aligned.data(), bytes, size);
-  NetEvent event{};
-  event.kind = NET_SAMPLE;
-  event.key = key;
-  event.data = reinterpret_cast<const uint8_t*>(aligned.data());
-  event.size = size;
-  const uint64_t refused = session->statistics.refused;
-  take(*session, event);
-  return session->statistics.refused == refused ? CRUMPLE_OK : CRUMPLE_BAD_ARGUMENT;
-}
-
-int crumple_follow(Crumple* session, const char* id, int level) {
-  if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
-  if (level != 0 && level != 1) return fail(CRUMPLE_BAD_ARGUMENT, "level is neither 0 (near) nor 1 (far)");
-  const bool watched = !session->net || session->level != none || (id && session->cars.count(id) > 0);
-  if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
-    return fail(CRUMPLE_CLOSED, transport_error());
-  if (id) {
-    // What comes for all need not come for this one once more.
-    if (const int status = subscribe(*session, id, session->level == level ? none : level); status != CRUMPLE_OK) return status;
-    FollowedCar& car = session->cars.try_emplace(id).first->second;
-    change_level(*session, id, car, level);
-    ask_for_keyframe(*session, id, car);  // sooner than its token can come
+void crumple_statistics(const Crumple* handle, CrumpleStatistics* out) {
+  if (out) *out = {};
+  with(handle, {{"out", out}}, [&](Crumple* session) {
+    *out = session->statistics;
     return CRUMPLE_OK;
-  }
-  if (const int status = subscribe(*session, "*", level); status != CRUMPLE_OK) return status;
-  session->level = level;
-  for (auto& [each, car] : session->cars) {
-    if (const int status = subscribe(*session, each, none); status != CRUMPLE_OK) return status;
-    change_level(*session, each, car, level);
-  }
-  return CRUMPLE_OK;
+  });
 }
 
-size_t crumple_cars(const Crumple* session, const char** ids, size_t capacity) {
-  size_t count = 0;
-  for (const auto& [id, car] : session->cars) {
-    if (count < capacity) ids[count] = id.c_str();
-    ++count;
-  }
-  return count;
+double crumple_time(const Crumple* handle) {
+  double now = 0;
+  with(handle, {}, [&](Crumple* session) {
+    const ServerClock& clock = session->clock;
+    now = session->net ? clock.now() : static_cast<double>(clock.tick) / clock.rate;
+    return CRUMPLE_OK;
+  });
+  return now;
 }
 
-int crumple_surface(Crumple* session, const char* id, CrumpleSurface* out) {
-  const auto at = session->cars.find(id);
-  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
-  const FollowedCar& car = at->second;
-  if (!held(car)) return CRUMPLE_PENDING;
-  *out = {car.surface.tick,
-          car.surface.hash,
-          static_cast<uint32_t>(car.surface.quanta.size() / 3),
-          car.surface.quantum,
-          car.surface.asset.c_str(),
-          car.surface.quanta.data(),
-          car.dirty,
-          !car.gone};
-  return CRUMPLE_OK;
+int crumple_impair(Crumple* handle, const CrumpleImpairment* line) {
+  return with(handle, {{"line", line}}, [&](Crumple* session) -> int {
+    if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
+    const auto within = [](float value, float most) { return value >= 0 && value <= most; };
+    if (!within(line->delay, 60) || !within(line->jitter, 60) || !within(line->loss, 1) || !within(line->repeat, 1))
+      return fail(CRUMPLE_BAD_ARGUMENT, "an impairment's delay or jitter is not from 0 to 60 s, or a share not from 0 to 1");
+    session->impaired.line = *line;
+    session->impaired.draw.seed(line->seed);
+    return CRUMPLE_OK;
+  });
 }
 
-int crumple_mesh(Crumple* session, const char* hash, CrumpleMesh* out) {
+int crumple_feed(Crumple* handle, const char* key, const void* bytes, size_t size) {
+  return with(handle, {{"key", key}}, [&](Crumple* session) -> int {
+    if (size > 0 && !given({{"bytes", bytes}})) return CRUMPLE_BAD_ARGUMENT;
+    if (size > message_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the message is over 64 MiB");
+    if (session->net)
+      return fail(CRUMPLE_BAD_ARGUMENT, "this session has a network: open one without options.connect to feed it");
+    std::vector<uint64_t> aligned((size + 7) / 8);
+    if (size > 0) std::memcpy(aligned.data(), bytes, size);
+    NetEvent event{};
+    event.kind = NET_SAMPLE;
+    event.key = key;
+    event.data = reinterpret_cast<const uint8_t*>(aligned.data());
+    event.size = size;
+    const uint64_t refused = session->statistics.refused;
+    take(*session, event);
+    return session->statistics.refused == refused ? CRUMPLE_OK : CRUMPLE_BAD_ARGUMENT;
+  });
+}
+
+int crumple_follow(Crumple* handle, const char* id, int level) {
+  return with(handle, {}, [&](Crumple* session) -> int {
+    if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+    if (level != 0 && level != 1) return fail(CRUMPLE_BAD_ARGUMENT, "level is neither 0 (near) nor 1 (far)");
+    const bool watched = !session->net || session->level != none || (id && session->cars.count(id) > 0);
+    if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
+      return fail(CRUMPLE_CLOSED, transport_error());
+    if (id) {
+      // What comes for all need not come for this one once more.
+      if (const int status = subscribe(*session, id, session->level == level ? none : level); status != CRUMPLE_OK)
+        return status;
+      FollowedCar& car = session->cars.try_emplace(id).first->second;
+      change_level(*session, id, car, level);
+      ask_for_keyframe(*session, id, car);  // sooner than its token can come
+      return CRUMPLE_OK;
+    }
+    if (const int status = subscribe(*session, "*", level); status != CRUMPLE_OK) return status;
+    session->level = level;
+    for (auto& [each, car] : session->cars) {
+      if (const int status = subscribe(*session, each, none); status != CRUMPLE_OK) return status;
+      change_level(*session, each, car, level);
+    }
+    return CRUMPLE_OK;
+  });
+}
+
+size_t crumple_cars(const Crumple* handle, const char** ids, size_t capacity) {
+  const int count = with(handle, {}, [&](Crumple* session) -> int {
+    if (capacity > 0 && !given({{"ids", ids}})) return CRUMPLE_BAD_ARGUMENT;
+    size_t next = 0;
+    for (const auto& [id, car] : session->cars) {
+      if (next == capacity) break;
+      ids[next++] = id.c_str();
+    }
+    return static_cast<int>(session->cars.size());
+  });
+  return static_cast<size_t>(std::max(0, count));
+}
+
+int crumple_surface(Crumple* handle, const char* id, CrumpleSurface* out) {
+  return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
+    const auto at = session->cars.find(id);
+    if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+    const FollowedCar& car = at->second;
+    if (!held(car)) return CRUMPLE_PENDING;
+    *out = {car.surface.tick,
+            car.surface.hash,
+            static_cast<uint32_t>(car.surface.quanta.size() / 3),
+            car.surface.quantum,
+            car.surface.asset.c_str(),
+            car.surface.quanta.data(),
+            car.dirty,
+            !car.gone};
+    return CRUMPLE_OK;
+  });
+}
+
+int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* out) {
   if (!is_id(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
   Asset& asset = session->assets[hash];
   if (asset.whole) {
@@ -651,23 +737,31 @@ int crumple_mesh(Crumple* session, const char* hash, CrumpleMesh* out) {
   return CRUMPLE_PENDING;
 }
 
-int crumple_add_asset(Crumple* session, const void* car, size_t size, char hash[17]) {
-  if (size > asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
-  Asset asset;
-  asset.words.resize((size + 7) / 8);
-  if (size > 0) std::memcpy(asset.words.data(), car, size);
-  asset.size = size;
-  const std::string name = hash_of(asset);
-  if (const std::string trouble = read_mesh(name, asset); !trouble.empty()) return fail(CRUMPLE_BAD_ARGUMENT, trouble);
-  asset.whole = true;
-  Asset& known = session->assets[name];
-  session->asset_tickets.erase(known.asking);  // what comes of it still is not wanted
-  if (!known.whole) known = std::move(asset);  // whoever has views of the other keeps them
-  std::memcpy(hash, name.c_str(), 17);
-  return CRUMPLE_OK;
+int crumple_mesh(Crumple* handle, const char* asset, CrumpleMesh* out) {
+  return with(handle, {{"asset", asset}, {"out", out}}, [&](Crumple* session) { return mesh_of(session, asset, out); });
 }
 
-int crumple_health(const Crumple* session, CrumpleHealth* out) {
-  *out = session->health;
-  return session->health.rate > 0 ? CRUMPLE_OK : CRUMPLE_PENDING;
+int crumple_add_asset(Crumple* handle, const void* car, size_t size, char hash[17]) {
+  return with(handle, {{"car", car}, {"hash", hash}}, [&](Crumple* session) -> int {
+    if (size > asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
+    Asset asset;
+    asset.words.resize((size + 7) / 8);
+    if (size > 0) std::memcpy(asset.words.data(), car, size);
+    asset.size = size;
+    const std::string name = hash_of(asset);
+    if (const std::string trouble = read_mesh(name, asset); !trouble.empty()) return fail(CRUMPLE_BAD_ARGUMENT, trouble);
+    asset.whole = true;
+    Asset& known = session->assets[name];
+    session->asset_tickets.erase(known.asking);  // what comes of it still is not wanted
+    if (!known.whole) known = std::move(asset);  // whoever has views of the other keeps them
+    std::memcpy(hash, name.c_str(), 17);
+    return CRUMPLE_OK;
+  });
+}
+
+int crumple_health(const Crumple* handle, CrumpleHealth* out) {
+  return with(handle, {{"out", out}}, [&](Crumple* session) -> int {
+    *out = session->health;
+    return session->health.rate > 0 ? CRUMPLE_OK : CRUMPLE_PENDING;
+  });
 }

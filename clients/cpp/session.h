@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <deque>
+#include <initializer_list>
 #include <limits>
 #include <map>
 #include <random>
@@ -33,6 +34,11 @@ inline constexpr size_t sample_limit = size_t{1} << 20;  // bytes: reactions of 
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr double past_kept = 0.5;  // s of a car that is shown as it was
 inline constexpr size_t answers_kept = 256;
+// What is given to the library at once, so that a wild count is refused and not read.
+inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one
+inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
+inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
+inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
 // An asset comes in pieces of this size, so that a slow line brings each in time: the query's payload is the offset (8 bytes,
 // little endian; none: 0); a shorter answer is the last.
 inline constexpr size_t asset_piece = size_t{256} << 10;
@@ -124,6 +130,11 @@ bool is_id(const char*);
 }  // namespace crumple::client
 
 struct Crumple {
+  Crumple() = default;
+  ~Crumple();
+  Crumple(const Crumple&) = delete;
+  Crumple& operator=(const Crumple&) = delete;
+
   Net* net = nullptr;  // NULL: all comes by crumple_feed
   std::string root;    // "crumple/1/{scene}/"
   std::string host;
@@ -149,6 +160,40 @@ struct Crumple {
 };
 
 namespace crumple::client {
+// The session of a handle, or NULL with the error set. A handle is a number that never comes again, in place of an address: a
+// closed one is known as such, also when another session lies where its session lay.
+Crumple* find(const Crumple* handle);
+
+struct Argument {
+  const char* name;
+  const void* value;
+};
+// Whether none is NULL; else the error is set.
+bool given(std::initializer_list<Argument>);
+int fail_without_memory() noexcept;
+
+// Each function of the header: with a session, with all arguments that it needs, and no exception gets out of the library,
+// since no caller in C or another language could take it.
+template <class Body>
+int guarded(std::initializer_list<Argument> needed, Body body) noexcept {
+  try {
+    return given(needed) ? static_cast<int>(body()) : CRUMPLE_BAD_ARGUMENT;
+  } catch (...) {  // std::bad_alloc or std::length_error: ours throws nothing else
+    return fail_without_memory();
+  }
+}
+template <class Body>
+int with(const Crumple* handle, std::initializer_list<Argument> needed, Body body) noexcept {
+  return guarded({}, [&] {
+    Crumple* session = find(handle);
+    return session && given(needed) ? static_cast<int>(body(session)) : CRUMPLE_BAD_ARGUMENT;
+  });
+}
+
+// crumple_poll and crumple_mesh.
+int poll(Crumple*, uint64_t timeout_us);
+int mesh_of(Crumple*, const char* hash, CrumpleMesh* out);
+
 // Takes in what arrived.
 void take(Crumple&, const NetEvent&);
 // Whether the message goes the way of a bad line; else it is as if there were none.

@@ -104,44 +104,48 @@ void crumple::client::remember(FollowedCar& car, double rate) {
   while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
 }
 
-int crumple_copy(Crumple* session, const char* id, CrumpleVertices* out) {
-  const auto at = session->cars.find(id);
-  if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
-  if (out->stride < 12 || out->stride % 4 != 0) return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4, at least 12");
-  FollowedCar& car = at->second;
-  const Surface& surface = car.surface;
-  if (!held(car)) return CRUMPLE_PENDING;
-  if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
-  if (out->time != 0 && car.past.empty()) remember(car, session->clock.rate);
-  CrumpleMesh mesh;
-  if (const int status = crumple_mesh(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
-  const Asset& asset = session->assets.at(surface.asset);
-  if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
-    return fail(CRUMPLE_NO_ANSWER, "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
+int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
+  return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
+    const auto at = session->cars.find(id);
+    if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+    if (out->stride < 12 || out->stride % 4 != 0 || out->stride > stride_limit)
+      return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4 from 12 to 4096");
+    FollowedCar& car = at->second;
+    const Surface& surface = car.surface;
+    if (!held(car)) return CRUMPLE_PENDING;
+    if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
+    if (out->time != 0 && car.past.empty()) remember(car, session->clock.rate);
+    CrumpleMesh mesh;
+    if (const int status = mesh_of(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
+    const Asset& asset = session->assets.at(surface.asset);
+    if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
+      return fail(CRUMPLE_NO_ANSWER,
+                  "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
 
-  const size_t count = std::min(out->capacity, asset.skin.size());
-  std::vector<float>&displacement = session->displacement, &position = session->position;
-  const float quantum = nodes_at(car, out->time * session->clock.rate, session->node);
-  displace(asset, session->node, quantum, displacement);
-  position.resize(displacement.size());
-  std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
-  if (out->normal) find_normals(mesh, position, session->normal);
-  write(position, *out, count, out->position);
-  write(displacement, *out, count, out->displacement);
-  write(session->normal, *out, count, out->normal);
+    const size_t count = std::min(out->capacity, asset.skin.size());
+    std::vector<float>&displacement = session->displacement, &position = session->position;
+    const float quantum = nodes_at(car, out->time * session->clock.rate, session->node);
+    displace(asset, session->node, quantum, displacement);
+    position.resize(displacement.size());
+    std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
+    if (out->normal) find_normals(mesh, position, session->normal);
+    write(position, *out, count, out->position);
+    write(displacement, *out, count, out->displacement);
+    write(session->normal, *out, count, out->normal);
 
-  if (car.copied_asset != surface.asset || car.copied_quantum != quantum) car.copied.clear();
-  mark(asset, session->node, car.copied, session->moved);
-  const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
-  const auto is_moved = [](uint8_t how) { return how != 0; };
-  const auto first = std::find_if(begin, end, is_moved);
-  const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
-  out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
-  out->count = static_cast<uint32_t>(last - first);
-  car.copied_asset = surface.asset;
-  car.copied_quantum = quantum;
-  car.copied.swap(session->node);
-  const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
-  car.dirty &= !newest;
-  return CRUMPLE_OK;
+    if (car.copied_asset != surface.asset || car.copied_quantum != quantum) car.copied.clear();
+    mark(asset, session->node, car.copied, session->moved);
+    const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
+    const auto is_moved = [](uint8_t how) { return how != 0; };
+    const auto first = std::find_if(begin, end, is_moved);
+    const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
+    out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
+    out->count = static_cast<uint32_t>(last - first);
+    car.copied_asset = surface.asset;
+    car.copied_quantum = quantum;
+    car.copied.swap(session->node);
+    const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
+    car.dirty &= !newest;
+    return CRUMPLE_OK;
+  });
 }

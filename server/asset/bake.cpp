@@ -17,6 +17,7 @@
 #include "asset/order_spatially.h"
 #include "asset/paint_regions.h"
 #include "asset/text_of.h"
+#include "files/files.h"
 #include "schema/car_generated.h"
 
 namespace crumple {
@@ -169,6 +170,8 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
 
 bool is_baked_car(const std::filesystem::path& file) {
   char head[8] = {};
+  std::error_code none;
+  if (!std::filesystem::is_regular_file(file, none)) return false;  // to open a pipe would wait
   std::ifstream(file, std::ios::binary).read(head, sizeof head);
   return schema::CarBufferHasIdentifier(head);
 }
@@ -188,15 +191,9 @@ BakeResult rebake(const Car& car, BakeOptions options) {
 }
 
 void write_car(const Car& car, const std::filesystem::path& file) {
-  const std::filesystem::path beside = file.string() + ".part";
-  std::ofstream stream(beside, std::ios::binary | std::ios::trunc);
-  stream.write(reinterpret_cast<const char*>(car.bytes.data()), static_cast<std::streamsize>(car.bytes.size()));
-  stream.close();
-  std::error_code error;
-  if (stream) std::filesystem::rename(beside, file, error);
-  if (!stream || error)
-    throw std::runtime_error(file.string() +
-                             ": the car cannot be written there; name a folder that exists and can be written.");
+  FileWriter writer(file);
+  writer.put(car.bytes.data(), car.bytes.size());
+  writer.finish();
 }
 
 }  // namespace crumple

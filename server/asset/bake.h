@@ -43,7 +43,7 @@ bool is_baked_car(const std::filesystem::path& file);
 // its input with these options would have given. No tets are made, so it takes milliseconds.
 BakeResult rebake(const Car&, BakeOptions);
 
-// Writes beside the file first and then renames, so that no half car is ever left. Throws like bake.
+// Leaves the whole car or nothing. Throws like bake.
 void write_car(const Car&, const std::filesystem::path& file);
 
 }  // namespace crumple

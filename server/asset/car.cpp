@@ -1,12 +1,8 @@
-// Loads a baked car: maps the file, lets FlatBuffers verify its structure, then checks every size, index and number once.
-// The checks are branch-free loops that only collect a verdict; which element was wrong is of no use to the reader.
+// Loads a baked car: reads the file, lets FlatBuffers verify its structure, then checks every size, index and number once.
+// The file is not mapped: who writes over it or cuts it while a server runs would change checked bytes, or end the server by
+// SIGBUS. The checks are branch-free loops that only collect a verdict; which element was wrong is of no use to the reader.
 
 #include "asset/car.h"
-
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #include <Eigen/Dense>
 #include <bit>
@@ -20,6 +16,7 @@
 
 #include "asset/build_constraints.h"
 #include "asset/make_blocks.h"
+#include "files/files.h"
 #include "schema/car_generated.h"
 
 namespace crumple {
@@ -208,7 +205,7 @@ std::vector<uint32_t> skin_nodes(const Model& model) {
 std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::string& name, std::shared_ptr<const void> owner) {
   const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
   if (bytes.size() < 8 || !schema::CarBufferHasIdentifier(data)) refuse(name, "this is not a baked car");
-  if (bytes.size() >= FLATBUFFERS_MAX_BUFFER_SIZE) refuse(name, "it is larger than 2 GB");
+  if (bytes.size() > max_car_size) refuse(name, "it is larger than 256 MiB");
   flatbuffers::Verifier verifier(data, bytes.size());
   if (!schema::VerifyCarBuffer(verifier)) refuse(name, "the file is cut off or damaged");
   const schema::Car& file = *schema::GetCar(data);
@@ -257,29 +254,13 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   return car;
 }
 
-struct Descriptor {
-  int number;
-  ~Descriptor() {
-    if (number >= 0) close(number);
-  }
-};
-
 }  // namespace
 
 std::shared_ptr<const Car> load_car(const std::filesystem::path& file) {
-  const std::string name = file.string();
-  const Descriptor descriptor{open(file.c_str(), O_RDONLY | O_CLOEXEC)};
-  struct stat info {};
-  if (descriptor.number < 0 || fstat(descriptor.number, &info) != 0)
-    throw std::runtime_error(name + ": it cannot be opened (" + std::strerror(errno) +
-                             "); make it with `crumple bake` or name another file.");
-  if (!S_ISREG(info.st_mode)) refuse(name, "this is not a file");
-  const auto size = static_cast<size_t>(info.st_size);
-  if (size == 0) refuse(name, "the file is empty");
-  void* start = mmap(nullptr, size, PROT_READ, MAP_PRIVATE | MAP_POPULATE, descriptor.number, 0);
-  if (start == MAP_FAILED) refuse(name, std::string("it cannot be mapped into memory (") + std::strerror(errno) + ")");
-  std::shared_ptr<const void> owner(start, [size](const void* mapped) { munmap(const_cast<void*>(mapped), size); });
-  return read({static_cast<const std::byte*>(start), size}, name, std::move(owner));
+  auto bytes =
+      std::make_shared<const std::string>(read_file(file, max_car_size, "make it with `crumple bake` or name another file"));
+  if (bytes->empty()) refuse(file.string(), "the file is empty");
+  return read(std::as_bytes(std::span(*bytes)), file.string(), bytes);
 }
 
 std::shared_ptr<const Car> read_car(std::span<const std::byte> bytes, const std::string& name) {

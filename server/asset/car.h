@@ -17,6 +17,7 @@ inline constexpr uint32_t max_nodes = 200'000;
 inline constexpr uint32_t max_tets = 1'000'000;
 inline constexpr uint32_t max_vertices = 200'000;
 inline constexpr uint32_t max_regions = 16;
+inline constexpr size_t max_car_size = size_t{256} << 20;     // bytes: a car at all of the limits above has 165 MB
 inline constexpr float max_extent = 50;                       // m from the origin along each axis: twice the longest car
 inline constexpr float least_mass = 10, most_mass = 100'000;  // kg: a pedal car, a loaded lorry
 inline constexpr double smallest_volume = 1e-12;  // m^3 of a tet, a tenth of a millimetre cubed: nothing to divide by
@@ -31,10 +32,10 @@ struct Car {
   std::vector<std::string> regions;
   std::string hash;                   // 16 hexadecimal digits: XXH64 of the bytes
   std::span<const std::byte> bytes;   // the whole file
-  std::shared_ptr<const void> owner;  // keeps the bytes (a mapping or a buffer) alive
+  std::shared_ptr<const void> owner;  // keeps the bytes alive
 };
 
-// Maps the file and checks every size and index, so that nothing behind it needs to.
+// Reads the file and checks every size and index, so that nothing behind it needs to.
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 std::shared_ptr<const Car> load_car(const std::filesystem::path& file);
 

@@ -15,6 +15,7 @@
 namespace crumple {
 namespace {
 
+constexpr uintmax_t largest_tets_file = uintmax_t{512} << 20;  // bytes: max_tets as text have a fifth of it
 constexpr double smallest_part = 0.02;  // of the whole volume: what may stand by itself, held by no face of another part
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
@@ -133,6 +134,9 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
 }
 
 TetMesh import_tets(const std::filesystem::path& file, const Eigen::Affine3d& from_file, std::vector<std::string>& report) {
+  std::error_code none;
+  if (std::filesystem::is_regular_file(file, none) && std::filesystem::file_size(file, none) > largest_tets_file)
+    refuse(file.string(), "it is larger than 512 MiB; give at most " + std::to_string(max_tets) + " tets.");
   const TemporaryFolder folder;
   std::string last;
   const int status =

@@ -2,10 +2,18 @@
 
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
+#include <fcntl.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <assimp/Importer.hpp>
+#include <cerrno>
 #include <cmath>
+#include <csignal>
+#include <cstring>
 #include <numeric>
 #include <stdexcept>
 
@@ -16,8 +24,14 @@ namespace crumple {
 namespace {
 
 constexpr double shortest_car = 0.5, longest_car = 25;  // m: a pedal car, an articulated bus
-constexpr double flat_below = 0.01;                     // shortest side over the longest
-constexpr size_t most_parts = 1000;                     // a scan's crumbs, not a body: game cars have one to a few hundred
+// Of what a file says before anything of it is welded or dropped.
+constexpr size_t most_vertices_read = size_t{16} * max_vertices, most_triangles_read = 2 * most_vertices_read;
+constexpr size_t most_levels_read = 1000;                  // nodes within nodes: a car has ten
+constexpr uintmax_t largest_input = uintmax_t{512} << 20;  // bytes: a car with its textures in one GLB
+constexpr rlim_t reader_memory = rlim_t{2} << 30;          // bytes: four times the largest input
+constexpr unsigned reader_seconds = 300;                   // the largest input takes seconds
+constexpr double flat_below = 0.01;                        // shortest side over the longest
+constexpr size_t most_parts = 1000;                        // a scan's crumbs, not a body: game cars have one to a few hundred
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
@@ -45,9 +59,9 @@ struct Flattened {
   std::vector<Eigen::Vector3d> position;
   std::vector<uint32_t> color;  // 0xrrggbb; only kept when `painted`
   std::vector<Triangle> triangle;
-  bool painted = false;
-  size_t meshes = 0;
-  size_t not_triangles = 0;
+  uint64_t painted = false;
+  uint64_t meshes = 0;
+  uint64_t not_triangles = 0;
 };
 
 uint32_t color_of(const aiColor4D& color) {
@@ -55,7 +69,11 @@ uint32_t color_of(const aiColor4D& color) {
   return channel(color.r) << 16 | channel(color.g) << 8 | channel(color.b);
 }
 
-void append(const aiMesh& mesh, const Eigen::Affine3d& placed, Flattened& out) {
+void append(const aiMesh& mesh, const Eigen::Affine3d& placed, const std::string& name, Flattened& out) {
+  const size_t vertices = out.position.size() + mesh.mNumVertices, triangles = out.triangle.size() + mesh.mNumFaces;
+  if (vertices > most_vertices_read || triangles > most_triangles_read)
+    refuse(name, "it has over " + std::to_string(most_vertices_read) + " vertices or " + std::to_string(most_triangles_read) +
+                     " triangles; decimate it to at most " + std::to_string(max_vertices) + " vertices.");
   const auto first = static_cast<uint32_t>(out.position.size());
   for (unsigned i = 0; i < mesh.mNumVertices; ++i) {
     const aiVector3D& v = mesh.mVertices[i];
@@ -79,13 +97,118 @@ void append(const aiMesh& mesh, const Eigen::Affine3d& placed, Flattened& out) {
   }
 }
 
-void flatten(const aiScene& scene, const aiNode& node, const Eigen::Affine3d& above, Flattened& out) {
+void flatten(const aiScene& scene, const aiNode& node, const Eigen::Affine3d& above, size_t level, const std::string& name,
+             Flattened& out) {
+  if (level > most_levels_read)
+    refuse(name, "its nodes are nested deeper than " + std::to_string(most_levels_read) + "; join them into one mesh.");
   const aiMatrix4x4& m = node.mTransformation;
   Eigen::Affine3d own;
   own.matrix() << m.a1, m.a2, m.a3, m.a4, m.b1, m.b2, m.b3, m.b4, m.c1, m.c2, m.c3, m.c4, 0, 0, 0, 1;
   const Eigen::Affine3d placed = above * own;
-  for (unsigned i = 0; i < node.mNumMeshes; ++i) append(*scene.mMeshes[node.mMeshes[i]], placed, out);
-  for (unsigned i = 0; i < node.mNumChildren; ++i) flatten(scene, *node.mChildren[i], placed, out);
+  for (unsigned i = 0; i < node.mNumMeshes; ++i) append(*scene.mMeshes[node.mMeshes[i]], placed, name, out);
+  for (unsigned i = 0; i < node.mNumChildren; ++i) flatten(scene, *node.mChildren[i], placed, level + 1, name, out);
+}
+
+Flattened read_scene(const std::string& name) {
+  Assimp::Importer importer;
+  const aiScene* scene = importer.ReadFile(name, aiProcess_Triangulate);
+  if (!scene || !scene->mRootNode) {
+    std::string why = scene ? "it has no scene" : importer.GetErrorString();
+    if (why.find("bad_alloc") != why.npos) throw std::bad_alloc();
+    while (!why.empty() && (why.back() == '\n' || why.back() == '.')) why.pop_back();
+    refuse(name, "no surface can be read from it (" + why + "); export it as OBJ, glTF, GLB, STL or PLY.");
+  }
+  Flattened out;
+  flatten(*scene, *scene->mRootNode, Eigen::Affine3d::Identity(), 0, name, out);
+  return out;
+}
+
+// ---- reading it apart --------------------------------------------------------------------------------------------------
+// Assimp follows the nodes of a file by recursion, in some formats for ever, and makes a node anew each time that another names
+// it: a file of some kB can so end the stack or fill the memory. Therefore it is read in a process of its own, with bounds.
+
+template <class T>
+void pack(const std::vector<T>& list, std::string& to) {
+  const uint64_t count = list.size();
+  to.append(reinterpret_cast<const char*>(&count), sizeof count);
+  to.append(reinterpret_cast<const char*>(list.data()), count * sizeof(T));
+}
+
+// False if there is less of it.
+template <class T>
+bool unpack(std::string_view& from, std::vector<T>& list) {
+  uint64_t count = 0;
+  if (from.size() < sizeof count) return false;
+  std::memcpy(&count, from.data(), sizeof count);
+  from.remove_prefix(sizeof count);
+  if (count > from.size() / sizeof(T)) return false;
+  list.resize(count);
+  if (count > 0) std::memcpy(static_cast<void*>(list.data()), from.data(), count * sizeof(T));
+  from.remove_prefix(count * sizeof(T));
+  return true;
+}
+
+std::string packed(const Flattened& surface) {
+  std::string text = "+";
+  pack(surface.position, text);
+  pack(surface.color, text);
+  pack(surface.triangle, text);
+  pack(std::vector<uint64_t>{surface.painted, surface.meshes, surface.not_triangles}, text);
+  return text;
+}
+
+bool unpacked(std::string_view text, Flattened& surface) {
+  std::vector<uint64_t> numbers;
+  if (!unpack(text, surface.position) || !unpack(text, surface.color) || !unpack(text, surface.triangle) ||
+      !unpack(text, numbers) || numbers.size() != 3)
+    return false;
+  surface.painted = numbers[0];
+  surface.meshes = numbers[1];
+  surface.not_triangles = numbers[2];
+  const size_t count = surface.position.size();
+  return surface.color.size() == count && std::all_of(surface.triangle.begin(), surface.triangle.end(), [&](const Triangle& t) {
+           return std::max({t[0], t[1], t[2]}) < count;
+         });
+}
+
+[[noreturn]] void read_as_child(const std::string& name, int to) {
+  prctl(PR_SET_PDEATHSIG, SIGKILL);
+  alarm(reader_seconds);
+  const rlimit none{0, 0};
+  setrlimit(RLIMIT_CORE, &none);
+#if !defined(__SANITIZE_ADDRESS__)  // which needs terabytes of addresses
+  const rlimit memory{reader_memory, reader_memory};
+  setrlimit(RLIMIT_DATA, &memory);
+#endif
+  std::string text;
+  try {
+    text = packed(read_scene(name));
+  } catch (const std::bad_alloc&) {
+    text = "-" + name +
+           ": it takes over 2 GiB of memory to read, as where nodes name others again and again; join its parts into one mesh.";
+  } catch (const std::exception& refused) {
+    text = std::string("-") + refused.what();
+  }
+  for (std::string_view left = text; !left.empty();) {
+    const ssize_t wrote = write(to, left.data(), left.size());
+    if (wrote < 0 && errno != EINTR) break;
+    left.remove_prefix(static_cast<size_t>(std::max<ssize_t>(0, wrote)));
+  }
+  _exit(0);
+}
+
+std::string read_all(int from) {
+  std::string text(1 << 16, '\0');
+  for (size_t size = 0;;) {
+    const ssize_t got = read(from, text.data() + size, text.size() - size);
+    if (got < 0 && errno == EINTR) continue;
+    size += static_cast<size_t>(std::max<ssize_t>(0, got));
+    if (got <= 0) {
+      text.resize(size);
+      return text;
+    }
+    if (size == text.size()) text.resize(2 * size);
+  }
 }
 
 Flattened read_file(const std::filesystem::path& file) {
@@ -93,19 +216,31 @@ Flattened read_file(const std::filesystem::path& file) {
   std::error_code error;
   if (std::filesystem::is_directory(file, error)) refuse(name, "this is a folder; name the mesh file inside it.");
   if (!std::filesystem::exists(file, error)) refuse(name, "there is no such file; check the path.");
-  if (std::filesystem::file_size(file, error) == 0 && !error) refuse(name, "the file is empty; export the mesh again.");
-  Assimp::Importer importer;
-  const aiScene* scene = importer.ReadFile(name, aiProcess_Triangulate);
-  if (!scene || !scene->mRootNode) {
-    std::string why = scene ? "it has no scene" : importer.GetErrorString();
-    while (!why.empty() && (why.back() == '\n' || why.back() == '.')) why.pop_back();
-    refuse(name, "no surface can be read from it (" + why + "); export it as OBJ, glTF, GLB, STL or PLY.");
+  if (!std::filesystem::is_regular_file(file, error)) refuse(name, "this is a pipe or a device; name a mesh file.");
+  const uintmax_t size = std::filesystem::file_size(file, error);
+  if (size == 0 && !error) refuse(name, "the file is empty; export the mesh again.");
+  if (size > largest_input) refuse(name, "it is larger than 512 MiB; export the body alone, without textures.");
+  int ends[2];
+  if (pipe2(ends, O_CLOEXEC) != 0)
+    refuse(name, std::string("no pipe can be opened (") + std::strerror(errno) + "); close other programs.");
+  const pid_t child = fork();
+  if (child == 0) read_as_child(name, ends[1]);
+  close(ends[1]);
+  const std::string text = child > 0 ? read_all(ends[0]) : "";
+  close(ends[0]);
+  int status = 0;
+  while (child > 0 && waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
+  if (child < 0) refuse(name, "no process can be started to read it; close other programs.");
+  if (text.starts_with("-")) throw std::runtime_error(text.substr(1));
+  if (WIFSIGNALED(status) && WTERMSIG(status) == SIGALRM)
+    refuse(name, "it takes longer than " + std::to_string(reader_seconds) + " s to read; join its parts into one mesh.");
   Flattened out;
-  flatten(*scene, *scene->mRootNode, Eigen::Affine3d::Identity(), out);
-  if (out.position.size() > size_t{16} * max_vertices)
-    refuse(name, "it has " + std::to_string(out.position.size()) + " vertices; decimate it to at most " +
-                     std::to_string(max_vertices) + ".");
+  if (!text.starts_with("+") || !unpacked(std::string_view(text).substr(1), out))
+    refuse(
+        name,
+        std::string("its reader broke down (") + (WIFSIGNALED(status) ? strsignal(WTERMSIG(status)) : "Assimp") +
+            "), as where nodes are nested thousands deep; join its parts into one mesh, or export it as OBJ, GLB, STL or PLY.");
   return out;
 }
 

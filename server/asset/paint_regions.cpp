@@ -13,6 +13,7 @@
 #include "asset/car.h"
 #include "asset/nearest.h"
 #include "asset/text_of.h"
+#include "files/files.h"
 #include "schema/regions_generated.h"
 
 // REGIONS_BFBS: schema/regions.fbs with what it includes, compiled by flatc.
@@ -235,10 +236,7 @@ uint8_t most_common(const Tet& tet, const std::vector<uint8_t>& node_region) {
 }  // namespace
 
 RegionsText read_regions(const std::filesystem::path& file) {
-  RegionsText regions{file.string(), {}};
-  if (!flatbuffers::LoadFile(file.c_str(), false, &regions.text))
-    throw std::runtime_error(regions.source + ": the regions file cannot be read; check the path.");
-  return regions;
+  return {file.string(), read_file(file, text_limit, "give a regions file, in the form of schema/regions.fbs")};
 }
 
 Regions paint_regions(const TetMesh& mesh, const Surface& surface, const std::optional<RegionsText>& text,

@@ -2,6 +2,8 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include <memory>
+
 #include "cpp/session.h"
 #include "fuzz/small_world.h"
 #include "fuzz/surface.h"
@@ -76,36 +78,40 @@ NetEvent event_of(const Part& part, std::string& key) {
 }
 
 // What the caller of the library sees of it all.
-void look(Crumple& session) {
+void look(Crumple* handle, const Crumple& session) {
   const char* ids[64];
-  const size_t count = std::min<size_t>(64, crumple_cars(&session, ids, 64));
+  const size_t count = std::min<size_t>(64, crumple_cars(handle, ids, 64));
   std::vector<float> position(3 * 4096), normal(3 * 4096);
   for (size_t i = 0; i < count; ++i) {
     CrumpleSurface surface;
-    if (crumple_surface(&session, ids[i], &surface) == CRUMPLE_OK)
+    if (crumple_surface(handle, ids[i], &surface) == CRUMPLE_OK)
       expect(XXH64(surface.quanta, 6 * size_t{surface.node_count}, 0) == surface.hash, "a surface has its hash");
     CrumpleVertices vertices{position.data(), nullptr, normal.data(), 12, 4096, i % 2 ? 0 : 0.05, 0, 0};
-    crumple_copy(&session, ids[i], &vertices);
+    crumple_copy(handle, ids[i], &vertices);
     expect(vertices.first + vertices.count <= 4096, "what changed is in the buffer");
   }
   for (const auto& [hash, held] : std::map(session.assets.begin(), session.assets.end())) {
     CrumpleMesh mesh;
-    if (crumple_mesh(&session, hash.c_str(), &mesh) != CRUMPLE_OK) continue;
+    if (crumple_mesh(handle, hash.c_str(), &mesh) != CRUMPLE_OK) continue;
     for (size_t i = 0; i < 3 * size_t{mesh.triangle_count}; ++i)
       expect(mesh.triangle[i] < mesh.vertex_count, "triangles name vertices that are there");
   }
   CrumpleReaction reaction;
-  while (crumple_take_reactions(&session, &reaction, 1) == 1) expect(client::is_id(reaction.car), "reactions name cars");
+  while (crumple_take_reactions(handle, &reaction, 1) == 1) expect(client::is_id(reaction.car), "reactions name cars");
   CrumpleHealth told;
-  crumple_health(&session, &told);
+  crumple_health(handle, &told);
   CrumpleAnswer answered;
-  crumple_answer(&session, answer_ticket, &answered);
+  crumple_answer(handle, answer_ticket, &answered);
 }
 
 }  // namespace
 
 bool client_run(Input input) {
-  Crumple session;  // without a network: what it asks for fails
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", nullptr, nullptr};  // what it asks for fails
+  Crumple* handle = nullptr;
+  expect(crumple_open(&options, &handle) == CRUMPLE_OK, "a session without a network can be opened");
+  const std::unique_ptr<Crumple, void (*)(Crumple*)> closer(handle, crumple_close);
+  Crumple& session = *client::find(handle);
   session.root = root;
   session.level = 0;
   for (Part& part : parts_of(input)) {
@@ -124,7 +130,7 @@ bool client_run(Input input) {
     std::string key;
     client::take(session, event_of(part, key));
   }
-  look(session);
+  look(handle, session);
   return session.statistics.refused == 0;
 }
 

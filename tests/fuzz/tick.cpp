@@ -6,7 +6,7 @@
 namespace crumple::fuzz {
 namespace {
 
-enum Kind : uint8_t { poses, obstacles, command, keyframe, named, end_of_tick, kinds };
+enum Kind : uint8_t { poses, obstacles, command, keyframe, named, end_of_tick, asset, kinds };
 
 // which: bit 0 the host, bit 1 the car.
 std::string key_of(const Part& part) {
@@ -18,6 +18,8 @@ std::string key_of(const Part& part) {
       return host + "/obstacles";
     case command:
       return car;
+    case asset:
+      return "asset";
     default:
       return car + "/key/0";
   }
@@ -25,7 +27,7 @@ std::string key_of(const Part& part) {
 
 Message message_of(const Part& part) {
   if (part.kind % kinds != named) {
-    const bool query = part.kind % kinds == command || part.kind % kinds == keyframe;
+    const bool query = part.kind % kinds == command || part.kind % kinds == keyframe || part.kind % kinds == asset;
     return {key_of(part), with_assets(part.bytes), query ? 1u : 0u};
   }
   const size_t split = std::min<size_t>(part.which, part.bytes.size());  // any key, then the bytes
@@ -59,7 +61,7 @@ bool tick_run(Input input) {
 std::vector<std::vector<uint8_t>> tick_seeds() {
   using host::pose_at;
   const Bytes spawn = host::spawn(fine_asset, "h0");
-  std::vector<uint8_t> crash, shapes, states;
+  std::vector<uint8_t> crash, shapes, states, given;
   add(command, 0, spawn, crash);
   add(obstacles, 0, host::obstacles(1, {{1, schema::Shape::box, {0.5f, 5, 5}, pose_at(2.85, 0, 1)}}), crash);
   for (uint64_t k = 1; k <= 8; ++k) {
@@ -105,7 +107,12 @@ std::vector<std::vector<uint8_t>> tick_seeds() {
   free.insert(free.end(), input_of(spawn).begin(), input_of(spawn).end());
   put(named, uint8_t(key.size()), free, states);
   put(end_of_tick, 0, {}, states);
-  return {crash, shapes, states};
+
+  add(asset, 0, host::asset(*given_car()), given);
+  add(command, 0, host::spawn(given_asset, "h0"), given);
+  add(obstacles, 0, host::obstacles(1, {{1, Shape::sphere, {0.6f, 0, 0}, pose_at(2.6, 0.2, 0.5), {-9, 0, 0}}}), given);
+  for (int k = 0; k < 3; ++k) put(end_of_tick, 0, {}, given);
+  return {crash, shapes, states, given};
 }
 
 }  // namespace crumple::fuzz
