@@ -7,7 +7,7 @@
 namespace crumple {
 namespace {
 
-// Whoever may command may give, again and again: so many are kept (the size of one: given_most, state.h).
+// Whoever may command may give, again and again: so many are kept (the size of one: given_most, world.h).
 constexpr size_t given_limit = 16, given_size_limit = size_t{64} << 20;  // cars; bytes of their files together
 
 bool drives(const World& world, const Levels& levels) {

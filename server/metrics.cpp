@@ -35,7 +35,7 @@ constexpr std::array metrics = {
     Metric{"replaced", "replaced_total", "Samples that a newer one of their host replaced before a tick took them."},
     Metric{"keys_published", "keys_published", "Keys that samples are published on: four a car that moved, one a host."},
     Metric{"oversized", "oversized_total", "Samples and queries that were too long to be looked at."},
-    Metric{"keys_refused", "keys_refused_total", "Samples and queries under keys of which nothing is known."},
+    Metric{"keys_refused", "keys_refused_total", "Samples and queries under keys that nobody has, or of too many unknown hosts in a tick."},
     Metric{"queries_waiting", "queries_waiting", "Queries that no tick has let in yet."},
     Metric{"queries_refused", "queries_refused_total", "Queries that found too many waiting."},
     Metric{"recording_lost", "recording_lost_total", "Messages that are missing in the recording."},

@@ -40,7 +40,11 @@ constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1000 cars h
 constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it they are refused, and beyond
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
-constexpr size_t long_asset = size_t{64} << 10;     // what is shorter is no car, and refused at once
+constexpr size_t long_asset = size_t{64} << 10;  // what is shorter is no car, and refused at once
+// Keys of hosts of which nothing is known yet, that one tick looks at. Whoever may publish may invent hosts, and each has a
+// channel in the recording: 3,840 a second fill a file in no less than the 10 s that it is to last. All 64 hosts of a scene may
+// begin at once.
+constexpr size_t newcomers_limit = 64;
 constexpr size_t command_limit = size_t{32} << 20;  // bytes: the state of a car of 100,000 nodes that is loaded
 constexpr uint32_t connect_ms = 10'000;             // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
@@ -87,6 +91,7 @@ struct Server {
   Metrics* metrics = nullptr;
   std::set<std::string, std::less<>> announced;  // "car/{car}" of those that live
   std::vector<std::string> heard;                // ids of the hosts that a second ago had something
+  size_t newcomers = 0;                          // keys of others, for this tick
   std::deque<Query> queries;                     // waiting
   size_t queries_bytes = 0;                      // of them
   uint64_t queries_refused = 0, keys_refused = 0;
@@ -235,7 +240,9 @@ void take_query(Server& server, const NetEvent& event, const Key& key) {
 }
 
 void take_sample(Server& server, const NetEvent& event, const Key& key) {
-  if (key.channel != Channel::poses && key.channel != Channel::obstacles) {
+  const bool known = std::binary_search(server.heard.begin(), server.heard.end(), key.id);
+  if ((key.channel != Channel::poses && key.channel != Channel::obstacles) ||
+      (!known && ++server.newcomers > newcomers_limit)) {
     ++server.keys_refused;
     return;
   }
@@ -351,6 +358,7 @@ void run_tick(Server& server) {
     server.recording->end_tick(number, sum, time);
   }
   server.inbox.clear();
+  server.newcomers = 0;
 }
 
 void publish_health(Server& server) {

@@ -26,6 +26,7 @@
 
 #include "answer.h"
 #include "control.h"
+#include "files/files.h"
 #include "film.h"
 #include "protocol/key.h"
 #include "recording.h"
@@ -44,7 +45,8 @@ constexpr std::chrono::milliseconds hit_ends{1000};  // without a contact
 constexpr std::chrono::milliseconds on_its_way{100};
 // Whoever may publish here can invent keys: so many are passed on.
 constexpr size_t car_limit = 4'096, host_limit = 512;
-constexpr size_t sample_limit = size_t{1} << 20;  // bytes
+constexpr size_t sample_limit = size_t{1} << 20;     // bytes
+constexpr size_t recording_limit = size_t{1} << 30;  // bytes: a page holds it whole
 // Assets: those of the cars that live, and of those before them the newest few, for pages that are behind. Together they have
 // so many bytes (one of 10,000 nodes has 4 MB), with control twice.
 constexpr size_t spare_limit = 8, assets_limit = size_t{1} << 30;
@@ -377,18 +379,9 @@ void run(Gateway& gateway, const std::atomic<bool>& stop) {
   }
 }
 
-std::string read_file(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
-
 std::string read_page(std::string path) {
   if (path.empty()) path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "web" / "index.html";
-  const std::string page = read_file(path);
-  if (page.empty())
-    throw std::runtime_error(path +
-                             ": the page is not there: `server/setup web` makes it in build/web; --page FILE names another");
-  return page;
+  return read_file(path, text_limit, "`server/setup web` makes the page in build/web; --page FILE names another");
 }
 
 bool is_public(std::string_view address) {
@@ -438,7 +431,8 @@ void hand_out(Web* web, const ViewOptions& options, const std::atomic<bool>& sto
   std::string query;
   for (size_t i = 0; i < options.files.size(); ++i) {
     RecordingReader{options.files[i]};  // throws if it is none
-    const std::string bytes = read_file(options.files[i]), path = "/recording/" + std::to_string(i);
+    const std::string bytes = read_file(options.files[i], recording_limit, "a page shows shorter ones"),
+                      path = "/recording/" + std::to_string(i);
     need(web_page(web, path.c_str(), "application/octet-stream", reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()));
     query += (i ? "&recording=" : "?recording=") + encoded(std::filesystem::path(options.files[i]).filename());
   }

@@ -150,6 +150,18 @@ class Door(unittest.TestCase):
             pass
         self.assertEqual(self.health()["hosts"], 0)
 
+    def test_invented_hosts_take_no_more_of_a_tick_than_a_scene_has(self):
+        stranger = self.open()
+        before = self.health()
+        for number in range(4_000):
+            stranger.put(ROOT + f"host/h{number}/poses", b"x")
+        while (after := self.health())["received"] < before["received"] + 4_000 - after["received_dropped"]:
+            pass
+        taken = after["messages"] - before["messages"]
+        self.assertGreater(after["keys_refused"], 0)
+        self.assertLessEqual(taken + after["keys_refused"] + after["received_dropped"], 4_000)
+        self.assertEqual(after["hosts"], 0)
+
     def test_a_server_that_listens_alone_heeds_no_owner(self):
         stranger = self.open()
         tokens = [stranger.liveliness().declare_token(ROOT + token)

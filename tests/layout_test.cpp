@@ -79,7 +79,7 @@ TEST(Layout, TheSimulationKnowsNoClockThreadFileOrRandomNumber) {
       "#include "
       "<(chrono|thread|mutex|atomic|fstream|iostream|filesystem|random|ctime|tbb/"
       "[^>]*)>|\\bstd::time\\(|\\brand\\(|\\bgetenv\\(");
-  for (const std::string room : {"server/sim", "server/wire"}) {
+  for (const std::string room : {"server/sim", "server/wire", "server/protocol"}) {
     for (const Source& source : sources(room)) {
       if (source.name.starts_with("server/sim/team.")) continue;  // who does a piece of work, never what it comes to
       std::smatch hit;
@@ -98,6 +98,25 @@ TEST(Layout, NothingBreaksThePromiseOfTheSameBits) {
   const std::string text{std::istreambuf_iterator<char>(file), {}};
   EXPECT_NE(text.find("-ffp-contract=off"), std::string::npos);
   EXPECT_EQ(text.find("fast-math"), std::string::npos);
+}
+
+// "`Suite.Name…`" or "`Suite.*`" in the table of bounds: of each there is one.
+TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
+  std::set<std::string> tests;
+  const std::regex test("TEST(?:_F|_P)?\\((\\w+), (\\w+)\\)");
+  for (const Source& source : sources("tests"))
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), test), end; i != end; ++i)
+      tests.insert((*i)[1].str() + "." + (*i)[2].str());
+  std::ifstream file(root / "server/README.md");
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  const std::regex named("`([A-Z]\\w+\\.)(\\w*)(\\*|…)?`");
+  int checked = 0;
+  for (std::sregex_iterator i(text.begin(), text.end(), named), end; i != end; ++i, ++checked) {
+    const std::string name = (*i)[1].str() + (*i)[2].str();
+    const auto at = tests.lower_bound(name);
+    EXPECT_TRUE(at != tests.end() && ((*i)[3].matched ? at->starts_with(name) : *at == name)) << i->str();
+  }
+  EXPECT_GT(checked, 25);
 }
 
 TEST(Layout, TheTopLevelHoldsWhatTheReadmeSaysAndNothingElse) {

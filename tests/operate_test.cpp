@@ -159,6 +159,18 @@ TEST_F(Operate, AWrongConfigurationIsRefusedWithFileFactAndRemedy) {
 
 // ---- who is let in, and to what ---------------------------------------------------------------------------------------------
 
+// What only servers may say, by somebody who may not: tokens of owners and of those that stand by, inputs for these, and
+// surfaces.
+void intrude(const Session& net) {
+  for (const char* token :
+       {"owner/2-x", "owner/1000000000-x", "owner/18446744073709551615-x", "standby/0-0", "server", "car/ghost"})
+    EXPECT_EQ(net_announce(net.get(), (std::string("crumple/1/main/") + token).c_str()), 0) << token;
+  for (const char* key : {"replica/inputs", "car/box/key/0", "car/box/delta/0", "health", "host/tester/reactions"})
+    EXPECT_EQ(net_put(net.get(), (std::string("crumple/1/main/") + key).c_str(), "forged", 6, NET_REAL_TIME), 0) << key;
+  for (const char* key : {"asset", "car/*", "car/*/key/*", "inputs", "replica/world"})
+    EXPECT_EQ(net_queryable(net.get(), (std::string("crumple/1/main/") + key).c_str(), 100, NET_LONGEST), 0) << key;
+}
+
 class Guarded : public Operate {
  protected:
   // An authority, another one, and certificates of the first.
@@ -222,19 +234,31 @@ class Guarded : public Operate {
     EXPECT_TRUE(until(viewer, [&] { return crumple_mesh(viewer, asset.c_str(), &mesh) == CRUMPLE_OK; }));
 
     const Session intruder = open_raw(player);
+    intrude(intruder);
+    for (const char* key : {"host/*/poses", "host/game/reactions", "replica/inputs", "**"})
+      ASSERT_EQ(net_subscribe(intruder.get(), (std::string("crumple/1/main/") + key).c_str(), 100, NET_LONGEST), 0);
     const Bytes order = host::despawn();
     uint64_t ticket = 0;
-    bool ended = false;
-    ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box", order.data(), order.size(), 1000, &ticket), 0);
-    ASSERT_TRUE(until_raw(
-        intruder, [&](const NetEvent& event) { ended |= event.kind == NET_REPLY_END && event.ticket == ticket; },
-        [&] { return ended; }));
+    for (const char* key : {"car/box", "car/*", "asset", "inputs", "replica/world"}) {
+      bool ended = false, answered = false;
+      ASSERT_EQ(
+          net_get(intruder.get(), (std::string("crumple/1/main/") + key).c_str(), order.data(), order.size(), 300, &ticket), 0);
+      ASSERT_TRUE(until_raw(
+          intruder,
+          [&](const NetEvent& event) {
+            EXPECT_NE(event.kind, uint32_t{NET_SAMPLE}) << "a player hears " << event.key;
+            answered |= event.kind == NET_REPLY && !event.failed;
+            ended |= event.kind == NET_REPLY_END && event.ticket == ticket;
+          },
+          [&] { return ended; }));
+      EXPECT_FALSE(answered) << key;
+    }
     for (uint64_t i = 1; i <= 20; ++i) {
       put(intruder, "crumple/1/main/host/game/poses", host::poses(uint64_t{1} << 62, {{"box", pose_at(500)}}));
       put(intruder, "crumple/1/main/host/intruder/obstacles", host::obstacles(i, {{}}));
     }
     // What comes after all of this over the same link has been let through, so that would have been, too.
-    ended = false;
+    bool ended = false;
     ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box/key/0", nullptr, 0, 30'000, &ticket), 0);
     ASSERT_TRUE(until_raw(
         intruder, [&](const NetEvent& event) { ended |= event.kind == NET_REPLY && !event.failed; }, [&] { return ended; }));
@@ -244,7 +268,9 @@ class Guarded : public Operate {
 
     // A host must not speak in another's name either.
     const Session other = open_raw(game);
+    intrude(other);
     put(other, "crumple/1/main/host/intruder/obstacles", host::obstacles(1, {{}}));
+    put(other, "crumple/1/main/host/intruder/poses", host::poses(uint64_t{1} << 62, {{"box", pose_at(500)}}));
     uint64_t answered = 0;
     CrumpleParameters keep = crumple_keep();
     EXPECT_TRUE(answer(host, crumple_set_parameters(host, "box", &keep, &answered), answered).ok);
@@ -253,7 +279,8 @@ class Guarded : public Operate {
     EXPECT_EQ(server->wait(), 0) << server->text;
     auto seen = topics(path("guarded.mcap"));
     EXPECT_EQ(seen["crumple/1/main/host/game/poses"].first, 1) << "the host's own";
-    EXPECT_EQ(seen.count("crumple/1/main/host/intruder/obstacles"), 0u);
+    for (const char* what : {"obstacles", "poses"})
+      EXPECT_EQ(seen.count(std::string("crumple/1/main/host/intruder/") + what), 0u) << what;
     EXPECT_EQ(seen["crumple/1/main/car/box"].first, 2) << "spawn and parameters";
   }
 };
@@ -275,18 +302,6 @@ TEST_F(Guarded, CertificatesLetAHostDriveAndAPlayerOnlyWatch) {
   expect_refused(endpoint, nobody(), "no certificate");
   expect_refused(endpoint, certificate("game2"), "a certificate of another authority");
   play(certificate("game"), certificate("player"));
-}
-
-// What only servers may say, by somebody who may not: tokens of owners and of those that stand by, inputs for these, and
-// surfaces.
-void intrude(const Session& net) {
-  for (const char* token :
-       {"owner/2-x", "owner/1000000000-x", "owner/18446744073709551615-x", "standby/0-0", "server", "car/ghost"})
-    EXPECT_EQ(net_announce(net.get(), (std::string("crumple/1/main/") + token).c_str()), 0) << token;
-  for (const char* key : {"replica/inputs", "car/box/key/0", "car/box/delta/0", "health", "host/tester/reactions"})
-    EXPECT_EQ(net_put(net.get(), (std::string("crumple/1/main/") + key).c_str(), "forged", 6, NET_REAL_TIME), 0) << key;
-  for (const char* key : {"asset", "car/*", "car/*/key/*", "inputs", "replica/world"})
-    EXPECT_EQ(net_queryable(net.get(), (std::string("crumple/1/main/") + key).c_str(), 100, NET_LONGEST), 0) << key;
 }
 
 TEST_F(Guarded, BehindARouterOnlyServersOwnAScene) {

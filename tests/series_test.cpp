@@ -200,8 +200,8 @@ TEST_F(LongRun, AnIndexThatNoOtherFileRelievesEndsAtItsLastBound) {
   RecordingHead head;
   head.scene = "main";
   RecordingBounds bounds;
-  bounds.next_index = 20'000;
-  bounds.most_index = 40'000;
+  bounds.next_index = 3'000;  // so small that the queue is not full before
+  bounds.most_index = 6'000;
   Recording recording(path("full.mcap"), head, bounds);
   uint64_t tick = 0;
   ASSERT_TRUE(until([&] {

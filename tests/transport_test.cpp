@@ -7,6 +7,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <csignal>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -429,6 +430,23 @@ TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   const auto came = collect(client, 1);
   ASSERT_EQ(came.size(), 1u);
   EXPECT_EQ(came[0].data, "again");
+}
+
+// A game that has the client library handles no SIGPIPE.
+TEST(Net, NoThreadOfASessionIsEndedByAPeerThatHangsUp) {
+  const Session peer = open_peer(), client = open_client(peer);
+  int writers = 0;
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::ifstream file(task.path() / "status");
+    const std::string status{std::istreambuf_iterator<char>(file), {}};
+    const bool writes =
+        status.starts_with("Name:\ttx-") || status.starts_with("Name:\trx-") || status.starts_with("Name:\tnet");
+    if (!writes) continue;
+    ++writers;
+    const uint64_t blocked = std::stoull(status.substr(status.find("SigBlk:\t") + 8), nullptr, 16);
+    EXPECT_TRUE(blocked >> (SIGPIPE - 1) & 1) << status.substr(0, 20);
+  }
+  EXPECT_GE(writers, 4);
 }
 
 // A session does not linger at its end (server/transport/.cargo/config.toml).

@@ -59,7 +59,8 @@ bool key_run(Input input) {
   if (const auto below = parse_key(text)) {
     expect(written(*below) == text, "a key is parsed only as it would be written");
     expect(below->id.empty() || is_id(below->id), "an id is one");
-    const auto whole = parse_key(root + std::string(text), root);
+    const std::string with_root = root + std::string(text);
+    const auto whole = parse_key(with_root, root);
     expect(whole && whole->channel == below->channel && whole->id == below->id, "a root before it changes nothing");
     saw("below" + std::to_string(int(below->channel)));
     return true;

@@ -105,6 +105,27 @@ pub extern "C" fn transport_version() -> *const c_char {
 
 // ---- network ----
 
+/// What the work starts inherits that SIGPIPE is blocked: a peer that hangs up while it is written to ends nobody's program. (TLS
+/// writes by writev, which raises it.)
+#[cfg(unix)]
+fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
+    // SAFETY: both sets are written before they are read, and only this thread's mask changes.
+    unsafe {
+        let (mut pipe, mut before) = (std::mem::zeroed(), std::mem::zeroed());
+        libc::sigemptyset(&mut pipe);
+        libc::sigaddset(&mut pipe, libc::SIGPIPE);
+        libc::pthread_sigmask(libc::SIG_BLOCK, &pipe, &mut before);
+        let result = work();
+        libc::pthread_sigmask(libc::SIG_SETMASK, &before, ptr::null_mut());
+        result
+    }
+}
+
+#[cfg(not(unix))]
+fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
+    work()
+}
+
 fn endpoints(list: &str) -> Vec<&str> {
     list.split(',').map(str::trim).filter(|endpoint| !endpoint.is_empty()).collect()
 }
@@ -126,7 +147,7 @@ pub unsafe extern "C" fn net_open(
     if out.is_null() {
         return done(Err(missing("out")));
     }
-    unsafe { give(open(), out) }
+    unsafe { give(with_sigpipe_blocked(open), out) }
 }
 
 #[unsafe(no_mangle)]
