@@ -271,8 +271,12 @@ void take_health(Gateway& gateway, std::span<const uint8_t> bytes) {
   }
 }
 
-void take_told(Gateway& gateway, std::string_view below, std::span<const uint8_t> bytes) {
+// Poses or obstacles: what browsers read without a check of their own is checked here.
+void take_told(Gateway& gateway, Channel channel, std::string_view below, std::span<const uint8_t> bytes) {
   if (bytes.size() > sample_limit || (gateway.hosts.size() >= host_limit && !gateway.hosts.contains(below))) return;
+  const bool good =
+      channel == Channel::poses ? verified<schema::Poses>(bytes) != nullptr : verified<schema::Obstacles>(bytes) != nullptr;
+  if (!good) return;
   gateway.hosts.emplace(below);
   set(gateway, std::string(below), bytes);
 }
@@ -281,7 +285,7 @@ void take_told(Gateway& gateway, std::string_view below, std::span<const uint8_t
 void take_sample(Gateway& gateway, const Key& key, std::string_view below, std::span<const uint8_t> bytes) {
   if (key.channel == Channel::health) return take_health(gateway, bytes);
   if (key.channel == Channel::reactions) return take_reactions(gateway, bytes);
-  if (key.channel == Channel::poses || key.channel == Channel::obstacles) return take_told(gateway, below, bytes);
+  if (key.channel == Channel::poses || key.channel == Channel::obstacles) return take_told(gateway, key.channel, below, bytes);
   if ((key.channel != Channel::keyframe && key.channel != Channel::delta) || key.number != 0) return;
   const auto at = gateway.cars.find(key.id);
   if (at == gateway.cars.end()) return;  // its token brings it, and the question for its keyframe
@@ -301,7 +305,7 @@ void take_latest(Gateway& gateway, std::span<const uint8_t> bytes) {
     const std::string_view below = input->key()->string_view();
     const Channel channel = parse_key(below).value_or(Key{}).channel;
     if ((channel == Channel::poses || channel == Channel::obstacles) && !gateway.hosts.contains(below))
-      take_told(gateway, below, {input->payload()->data(), input->payload()->size()});
+      take_told(gateway, channel, below, {input->payload()->data(), input->payload()->size()});
   }
 }
 

@@ -150,6 +150,17 @@ class Door(unittest.TestCase):
             pass
         self.assertEqual(self.health()["hosts"], 0)
 
+    def test_a_key_of_many_parts_is_forgotten_again(self):
+        """zenoh knows each part of a key by one of its own, and drops them one within the other."""
+        deep = ROOT + "/".join("x" * 12_000)
+        session = self.open()
+        session.declare_subscriber(deep, lambda sample: None)
+        session.liveliness().declare_token(deep)
+        self.assertTrue(self.ask(session, ROOT + "inputs", b"")[1], "it was heard")
+        session.close()
+        self.health()
+        self.health()
+
     def test_invented_hosts_take_no_more_of_a_tick_than_a_scene_has(self):
         stranger = self.open()
         before = self.health()

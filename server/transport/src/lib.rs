@@ -126,6 +126,19 @@ fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
+/// zenoh drops what it knows of a key part by part, each within the one before, and a key of 64 KB has 32,767 parts: on the 2 MiB that
+/// Rust gives a thread, 10,000 end the program. Rust reads this once, before the process's first thread; what the user has set
+/// stands.
+fn give_threads_room() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        if std::env::var_os("RUST_MIN_STACK").is_none() {
+            // SAFETY: as with setenv, no other thread may read the environment in this moment: crumple_client.h says so.
+            unsafe { std::env::set_var("RUST_MIN_STACK", (32 << 20).to_string()) };
+        }
+    });
+}
+
 fn endpoints(list: &str) -> Vec<&str> {
     list.split(',').map(str::trim).filter(|endpoint| !endpoint.is_empty()).collect()
 }
@@ -147,6 +160,7 @@ pub unsafe extern "C" fn net_open(
     if out.is_null() {
         return done(Err(missing("out")));
     }
+    give_threads_room();
     unsafe { give(with_sigpipe_blocked(open), out) }
 }
 
@@ -339,6 +353,7 @@ pub unsafe extern "C" fn metrics_open(address: *const c_char, out: *mut *mut Met
     if out.is_null() {
         return done(Err(missing("out")));
     }
+    give_threads_room();
     let open = || Metrics::open(unsafe { text(address, "address")? });
     unsafe { give(open(), out) }
 }
@@ -371,6 +386,7 @@ pub unsafe extern "C" fn web_open(address: *const c_char, out: *mut *mut Web) ->
     if out.is_null() {
         return done(Err(missing("out")));
     }
+    give_threads_room();
     let open = || Web::open(unsafe { text(address, "address")? });
     unsafe { give(open(), out) }
 }
@@ -478,6 +494,7 @@ pub unsafe extern "C" fn recorder_open(
     if out.is_null() {
         return done(Err(missing("out")));
     }
+    give_threads_room();
     let open =
         || unsafe { Recorder::open(text(path, "path")?, text_or(profile, "", "profile")?, text_or(library, "", "library")?) };
     unsafe { give(open(), out) }
