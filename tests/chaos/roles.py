@@ -1,0 +1,334 @@
+"""What the chaos run starts beside the programs, a process each; `run` speaks to them by lines on stdin and reads their stdout.
+
+    roles.py host ENDPOINT NETWORK ID CARS LANE BIG SMALL     drives cars into walls; measures how long it was not heard
+    roles.py truth ENDPOINT NETWORK CARS                      asks the server for the hash of each car, at each line on stdin
+    roles.py router ENDPOINT NETWORK                          a router of zenoh's, as zenohd is one
+    roles.py links                                            bad lines: "open NAME HOST:PORT [thin]",
+                                                              "up|cut|freeze NAME", "slow NAME MS JITTER"
+
+NETWORK: a file of zenoh's configuration laid over that of a client, or "-". CARS of truth: their ids, comma separated.
+"""
+
+import asyncio
+import json
+import pathlib
+import random
+import socket
+import sys
+import threading
+import time
+
+SCENE = "main"
+RATE = 60  # poses a second
+WALL = 20.0  # m: the face of every wall, in x
+LANE = 8.0  # m between cars
+TELL = 0.1  # s: a host that was unheard for longer says so
+PERIOD = 2 * RATE  # ticks from one crash of all cars to the next
+WAIT = RATE // 4  # ticks that a car stands at its start before it goes
+UNIT = 1e-6  # m/s: a pose's number, modulo NUMBERS, stands in the velocity in z, which contacts leave as it is
+NUMBERS = 10_000
+MENDED = 4.0  # s between two repairs of a car
+
+
+def say(**what):
+    print(json.dumps(what), flush=True)
+
+
+def lines(take):
+    """Each line of stdin, on a thread of its own; its end ends the process's use."""
+
+    def read():
+        for line in sys.stdin:
+            take(line.strip())
+
+    threading.Thread(target=read, daemon=True).start()
+
+
+def text_of(network):
+    return None if network == "-" else pathlib.Path(network).read_text()
+
+
+# ---- host --------------------------------------------------------------------------------------------------------------------
+
+
+class Car:
+    """A probe taps its wall again and again, so that each tick tells of it. The others crash once a period, all in the same
+    tick, and go on to tap."""
+
+    def __init__(self, crumple, id, probe, asset, nose, lane):
+        self.crumple, self.id, self.probe, self.asset, self.lane = crumple, id, probe, asset, lane
+        self.start = WALL - nose - (0.05 if probe else 10.0)  # m
+        self.x, self.speed, self.seen, self.hit = self.start, 0.0, 0, None
+        self.wall = crumple.Obstacle(lane, crumple.Shape.box, (1.0, 3.0, 3.0), crumple.Pose((WALL + 1.0, LANE * lane, 0.0)))
+
+    def take(self, reaction, now):
+        self.seen = reaction.tick
+        if reaction.contacts > 0:
+            self.x, self.hit = reaction.pose.position[0], now
+
+    def intent(self, step, calm, sequence):
+        """The pose of this step; velocity in z: its number."""
+        if self.probe:
+            if self.hit is None or step - self.hit > RATE // 2:  # unheard, or its wall is gone
+                self.hit, self.x = step, self.start
+            self.speed = -0.5 if step - self.hit < 6 else 0.5
+        elif calm or step % PERIOD < WAIT:
+            self.x, self.speed, self.hit = self.start, 0.0, None
+        elif self.hit is None:
+            self.speed = 14.0
+        else:  # it goes on to tap: each tick tells viewers of it
+            self.speed = -1.0 if step - self.hit < 3 else 1.0
+        self.x += self.speed / RATE
+        pose = self.crumple.Pose((self.x, LANE * self.lane, 0.0))
+        velocity = (self.speed, 0.0, sequence % NUMBERS * UNIT)
+        return self.crumple.CarPose(self.id, pose, velocity, seen=0 if self.probe or self.hit is not None else self.seen)
+
+
+class Host:
+    def __init__(self, endpoint, network, id, cars, lane, big, small):
+        import crumple
+
+        self.crumple, self.endpoint, self.network, self.id = crumple, endpoint, text_of(network), id
+        self.session = self.open()
+        assets = {file: self.session.add_asset(file) for file in (big, small)}
+        noses = {file: float(self.session.mesh(asset).vertex[:, 0].max()) for file, asset in assets.items()}
+        self.cars = {}
+        for k in range(int(cars) + 1):
+            file = small if k == 0 else big
+            name = f"{id}{k}" if k else f"{id}-probe"
+            self.cars[name] = Car(crumple, name, k == 0, assets[file], noses[file], int(lane) + k)
+        self.probe = next(iter(self.cars))
+        self.calm = True  # until told otherwise
+        self.sent, self.confirmed, self.confirmed_at = 0, 0, time.monotonic()
+
+    def open(self):
+        while True:
+            try:
+                return self.crumple.Session(self.endpoint, SCENE, self.id, 2.0, self.network)
+            except self.crumple.Error:
+                time.sleep(0.2)
+
+    @property
+    def unheard(self):
+        """s: what was sent since the last pose that the server showed to have."""
+        return (self.sent - self.confirmed) / RATE
+
+    def command(self):
+        """Spawns what does not live and mends what does, on a session of its own: who waits for an answer sends no poses."""
+        session, mended = self.open(), time.monotonic()
+        while True:
+            time.sleep(0.5)
+            try:
+                if self.unheard > 0.7:
+                    for car in self.cars.values():
+                        try:
+                            pose = self.crumple.Pose((car.start, LANE * car.lane, 0.0))
+                            session.spawn(car.id, car.asset, pose)
+                        except self.crumple.Refused:
+                            pass  # it lives
+                elif time.monotonic() > mended + MENDED and not self.calm:
+                    mended = time.monotonic()
+                    for car in self.cars:
+                        session.repair(car)
+            except self.crumple.Error:
+                pass  # no answer: once more
+
+    def take_reactions(self, step):
+        for reaction in self.session.reactions():
+            car = self.cars.get(reaction.car)
+            if car is None:
+                continue
+            car.take(reaction, step)
+            if not car.probe:
+                continue
+            number = round(float(reaction.velocity[2]) / UNIT)
+            sequence = self.sent - (self.sent - number) % NUMBERS
+            if sequence <= self.confirmed:
+                continue
+            now, gap, late = time.monotonic(), (sequence - self.confirmed) / RATE, (self.sent - sequence) / RATE
+            if max(gap, late) > TELL:
+                say(gap=gap, late=late, begin=self.confirmed_at, end=now)
+            self.confirmed, self.confirmed_at = sequence, now
+
+    def play(self):
+        threading.Thread(target=self.command, daemon=True).start()
+        step, due = 0, time.monotonic()
+        while True:
+            step += 1
+            due = max(due + 1 / RATE, time.monotonic() - 1 / RATE)  # who was late sends no burst
+            while (left := due - time.monotonic()) > 0:
+                self.session.poll(left)
+            self.session.poll()
+            self.take_reactions(step)
+            self.sent += 1
+            poses = [car.intent(step, self.calm, self.sent) for car in self.cars.values()]
+            try:
+                self.session.publish_poses(step / RATE, poses)
+                if step % RATE == 1:
+                    self.session.publish_obstacles([car.wall for car in self.cars.values()])
+            except self.crumple.Error:
+                pass  # its own queue is full: the line is away
+            if step % RATE == 0:
+                say(unheard=self.unheard, since=self.confirmed_at, now=time.monotonic())
+
+
+def host(*arguments):
+    it = Host(*arguments)
+
+    def order(line):
+        it.calm = line == "calm"
+
+    lines(order)
+    it.play()
+
+
+# ---- zenoh's own -------------------------------------------------------------------------------------------------------------
+
+
+def configured(mode, ends, network="-"):
+    """A configuration of PyPI eclipse-zenoh. ends: of `listen` for a router, of `connect` for a client."""
+    import zenoh
+
+    config = zenoh.Config() if network == "-" else zenoh.Config.from_json5(text_of(network))
+    verb = "listen" if mode == "router" else "connect"
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5(f"{verb}/endpoints", json.dumps([ends]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    if verb == "connect":
+        config.insert_json5("connect/timeout_ms", "3000")
+        config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2}')
+    else:
+        # As server/transport/src/config.rs has it. With zenoh's two batches and 5 s a piece of an asset, which is four, stops a
+        # router on TLS (one thread receives and sends) for 5 s, and who asks and never reads stops any router as long.
+        for queue in ("data_high", "data", "real_time", "data_low"):
+            config.insert_json5(f"transport/link/tx/queue/size/{queue}", "16")
+        config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", "1000000")
+    return config
+
+
+def router(endpoint, network):
+    import zenoh
+
+    with zenoh.open(configured("router", endpoint, network)):
+        say(router=endpoint)
+        threading.Event().wait()
+
+
+def truth(endpoint, network, cars):
+    import zenoh
+    from crumple.schema.Keyframe import Keyframe
+
+    while True:
+        try:
+            session = zenoh.open(configured("client", endpoint, network))
+            break
+        except zenoh.ZError:
+            time.sleep(0.2)
+    say(truth=True)
+    for _ in sys.stdin:
+        held = {}
+        for car in cars.split(","):
+            for level in range(2):
+                for reply in session.get(f"crumple/1/{SCENE}/car/{car}/key/{level}", timeout=2.0):
+                    if reply.ok is not None:
+                        held[f"{car}/{level}"] = f"{Keyframe.GetRootAs(bytes(reply.ok.payload)).Hash():016x}"
+        say(held=held)
+
+
+# ---- bad lines ---------------------------------------------------------------------------------------------------------------
+
+QUEUE = 8  # pieces that wait in a line, each way
+PIECE = 256 << 10  # bytes
+BUFFER = 32 << 10  # bytes in the sockets of a thin line, so that what waits is soon the sender's trouble
+
+
+def make_socket(thin):
+    it = socket.socket()
+    it.setblocking(False)
+    if thin:
+        for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+            it.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+    return it
+
+
+class Link:
+    def __init__(self, to, thin):
+        host, port = to.rsplit(":", 1)
+        self.to, self.thin, self.state, self.delay, self.jitter = (host, int(port)), thin, "up", 0.0, 0.0
+        self.moves = asyncio.Event()
+        self.moves.set()
+        self.writers = set()
+
+    async def accept(self, reader, writer):
+        if self.state == "cut":
+            return writer.transport.abort()
+        await self.moves.wait()
+        try:
+            far = make_socket(self.thin)
+            await asyncio.get_running_loop().sock_connect(far, self.to)
+            far_reader, far_writer = await asyncio.open_connection(sock=far)
+        except OSError:
+            return writer.transport.abort()
+        self.writers |= {writer, far_writer}
+        tasks = [asyncio.create_task(way) for way in (self.carry(reader, far_writer), self.carry(far_reader, writer))]
+        await asyncio.wait(tasks)
+        self.writers -= {writer, far_writer}
+
+    async def carry(self, reader, writer):
+        queue = asyncio.Queue(QUEUE)
+
+        async def take():
+            while True:
+                data = await reader.read(PIECE)
+                await self.moves.wait()
+                await queue.put((time.monotonic() + max(0, random.gauss(self.delay, self.jitter)), data))
+                if not data:
+                    return
+
+        taking = asyncio.create_task(take())
+        try:
+            while True:
+                due, data = await queue.get()
+                if (left := due - time.monotonic()) > 0:
+                    await asyncio.sleep(left)
+                await self.moves.wait()
+                if not data:
+                    break
+                writer.write(data)
+                await writer.drain()
+        except OSError:
+            pass
+        finally:
+            taking.cancel()
+            writer.close()
+
+    def set(self, state, delay=0.0, jitter=0.0):
+        self.state, self.delay, self.jitter = state, float(delay) / 1e3, float(jitter) / 1e3
+        if state == "cut":
+            for writer in list(self.writers):
+                writer.transport.abort()
+        self.moves.clear() if state == "freeze" else self.moves.set()
+
+
+async def serve_links():
+    reader = asyncio.StreamReader(limit=1 << 16)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    links, servers = {}, []
+    while line := (await reader.readline()).decode().split():
+        verb, name, *rest = line
+        if verb == "open":
+            links[name] = Link(rest[0], "thin" in rest)
+            listener = make_socket(links[name].thin)
+            listener.bind(("127.0.0.1", 0))
+            servers.append(await asyncio.start_server(links[name].accept, sock=listener))
+            say(link=name, port=servers[-1].sockets[0].getsockname()[1])
+        else:
+            links[name].set(verb, *rest)
+
+
+if __name__ == "__main__":
+    verb, *arguments = sys.argv[1:]
+    if verb == "links":
+        asyncio.run(serve_links())
+    else:
+        {"host": host, "router": router, "truth": truth}[verb](*arguments)
