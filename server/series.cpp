@@ -4,9 +4,11 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstring>
 #include <ctime>
 #include <filesystem>
 #include <stdexcept>
+#include <system_error>
 #include <utility>
 
 #include "snapshot.h"
@@ -66,8 +68,9 @@ std::string Series::another_file() {
     if (++number_ > 1) path.replace_filename(path.stem().string() + "-" + std::to_string(number_) + path.extension().string());
     const int made = ::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (made < 0 && errno == EEXIST) continue;
-    if (made >= 0) ::close(made);
-    return path.string();  // where it cannot be made, the recorder says why
+    if (made < 0) throw std::runtime_error(path.string() + ": it cannot be made (" + std::strerror(errno) + ")");
+    ::close(made);
+    return path.string();
   }
 }
 
@@ -76,25 +79,32 @@ bool Series::is_closing() const {
 }
 
 void Series::go_on(Clock::time_point now) {
-  const bool over = now >= until_;
-  if (!over && (now < not_before_ || !recording_->full())) return;
-  if (over) until_ += minutes(options_.minutes);
+  if (now < until_ && (now < not_before_ || !recording_->full())) return;
   not_before_ = now + options_.shortest;
   if (is_closing()) return;
-  const std::string file = another_file();
+  if (options_.minutes > 0) until_ = now + minutes(options_.minutes);
+  std::string file;
+  std::unique_ptr<Recording> next;
   try {
-    auto next = begin(file);
-    tell();
-    tell_closed();
-    lost_before_ = lost();
-    closing_ = std::async(std::launch::async, [before = std::move(recording_)] { return before->close(); });
-    recording_ = std::move(next);
-    file_ = file;
-    told_.clear();
+    file = another_file();
+    next = begin(file);
   } catch (const std::exception& error) {
     std::error_code none;
-    std::filesystem::remove(file, none);
-    options_.tell(std::string(error.what()) + "; goes on in " + file_);
+    if (!file.empty()) std::filesystem::remove(file, none);
+    return options_.tell(std::string(error.what()) + "; goes on in " + file_);
+  }
+  tell();
+  tell_closed();
+  lost_before_ = lost();
+  const std::shared_ptr<Recording> before = std::exchange(recording_, std::move(next));
+  file_ = file;
+  told_.clear();
+  try {
+    closing_ = std::async(std::launch::async, [before] { return before->close(); });
+  } catch (const std::system_error&) {  // there is no thread for it: the tick waits
+    const std::string trouble = before->close();
+    if (!trouble.empty()) options_.tell(trouble);
+    closed_badly_ |= !trouble.empty();
   }
 }
 

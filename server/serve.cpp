@@ -41,10 +41,9 @@ constexpr uint32_t query_limit = 1'000;                  // waiting; beyond it t
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // four of the longest that may be
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
 constexpr size_t long_asset = size_t{64} << 10;  // what is shorter is no car, and refused at once
-// Keys of hosts of which nothing is known yet, that one tick looks at. Whoever may publish may invent hosts, and each has a
-// channel in the recording: 3,840 a second fill a file in no less than the 10 s that it is to last. All 64 hosts of a scene may
-// begin at once.
-constexpr size_t newcomers_limit = 64;
+// Samples of hosts of which nothing is known yet, a second. Whoever may publish may invent hosts, and each has two channels in
+// the recording, which may have 60,000 in the 10 s that a file lasts at least. The 64 hosts of a scene need 128.
+constexpr size_t newcomers_limit = 2'048;
 constexpr size_t command_limit = size_t{32} << 20;  // bytes: the state of a car of 100,000 nodes that is loaded
 constexpr uint32_t connect_ms = 10'000;             // until a router must have answered
 // How long a server that connects to others looks for one that owns its scene already.
@@ -91,7 +90,7 @@ struct Server {
   Metrics* metrics = nullptr;
   std::set<std::string, std::less<>> announced;  // "car/{car}" of those that live
   std::vector<std::string> heard;                // ids of the hosts that a second ago had something
-  size_t newcomers = 0;                          // keys of others, for this tick
+  size_t newcomers = 0;                          // samples of others, in this second
   std::deque<Query> queries;                     // waiting
   size_t queries_bytes = 0;                      // of them
   uint64_t queries_refused = 0, keys_refused = 0;
@@ -202,6 +201,17 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
   return !stop;
 }
 
+// Of those that have nothing in the scene any more neither what they told last is kept, nor the keys of what they were told.
+void forget_hosts(Server& server) {
+  std::vector<std::string> now = hosts(*server.world);
+  for (const std::string& host : server.heard)
+    if (!std::binary_search(now.begin(), now.end(), host))
+      net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
+  server.latest.forget_others(now);
+  server.heard = std::move(now);
+  server.newcomers = 0;
+}
+
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0, sample_limit));
@@ -210,6 +220,7 @@ void open_scene(Server& server) {
   for (const char* what : {"car/*/key/*", "replica/world", "inputs"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit, question_limit));
   need(net_queryable(server.net, (std::string(asset_root) + "*").c_str(), query_limit, question_limit));
+  forget_hosts(server);  // those of a server that was replaced are known
   need(net_announce(server.net, (server.root + "server").c_str()));
   for (const std::string& car : cars(*server.world)) {
     server.announced.insert("car/" + car);
@@ -358,7 +369,6 @@ void run_tick(Server& server) {
     server.recording->end_tick(number, sum, time);
   }
   server.inbox.clear();
-  server.newcomers = 0;
 }
 
 void publish_health(Server& server) {
@@ -399,16 +409,6 @@ void tell_refusals(Server& server, uint64_t& told) {
   std::fprintf(stderr, "crumple serve: refused %llu message%s; the last: %s\n", static_cast<unsigned long long>(refused - told),
                refused - told == 1 ? "" : "s", last_refusal(*server.world).c_str());
   told = refused;
-}
-
-// Of those that have nothing in the scene any more neither what they told last is kept, nor the keys of what they were told.
-void forget_hosts(Server& server) {
-  std::vector<std::string> now = hosts(*server.world);
-  for (const std::string& host : server.heard)
-    if (!std::binary_search(now.begin(), now.end(), host))
-      net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
-  server.latest.forget_others(now);
-  server.heard = std::move(now);
 }
 
 void run(Server& server, const std::atomic<bool>& stop) {

@@ -27,9 +27,11 @@ constexpr std::chrono::seconds precedence{2};           // that another has to t
 constexpr std::chrono::milliseconds settling{200};      // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
-constexpr size_t world_piece = size_t{4} << 20;                 // bytes, below the limit of a message
-constexpr size_t servers_limit = 64;                            // tokens of owners, and of those that stand by, in one scene
-constexpr uint32_t answer_ms = 30'000;                          // for a piece: over 1.2 Mb/s
+// Bytes of the ticks that wait, and of a world that is fetched: 1,000 damaged cars of 4,642 nodes have 1 GB.
+constexpr size_t waiting_limit = size_t{256} << 20, world_limit = size_t{2} << 30;
+constexpr size_t world_piece = size_t{4} << 20;  // bytes, below the limit of a message
+constexpr size_t servers_limit = 64;             // tokens of owners, and of those that stand by, in one scene
+constexpr uint32_t answer_ms = 30'000;           // for a piece: over 1.2 Mb/s
 // Of the owner.
 constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
 constexpr size_t snapshots_most = 4;
@@ -46,6 +48,7 @@ struct Standby {
   std::set<std::string> tokens = {};                // of all that stand by, this one among them
   std::string token = {};                           // rank 0 while it holds the owner's world, else 1: the lowest takes over
   std::deque<std::vector<std::byte>> waiting = {};  // Inputs
+  size_t waiting_bytes = 0;                         // of them
   bool same = false;                                // the world is the owner's, as of its tick
   uint64_t epoch = 0;                               // the latest seen
   bool linked = false;                              // and not only seen so far
@@ -72,6 +75,7 @@ void ask_for_world(Standby& standby, uint64_t offset) {
   if (offset == 0) {
     standby.pieces.clear();
     standby.waiting.clear();  // the snapshot knows of them
+    standby.waiting_bytes = 0;
     ++standby.asker;
   }
   const auto question = world_question(offset, standby.asker);
@@ -94,6 +98,7 @@ void give_up_fetching(Standby& standby, const std::string& why) {
 void take_world(Standby& standby, const NetEvent& event) {
   if (event.failed)
     return give_up_fetching(standby, {reinterpret_cast<const char*>(event.data), std::min<size_t>(event.size, 500)});
+  if (standby.pieces.size() + event.size > world_limit) return give_up_fetching(standby, "it has more than 2 GiB");
   const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
   standby.pieces.insert(standby.pieces.end(), bytes, bytes + event.size);
   if (event.size == world_piece) return ask_for_world(standby, standby.pieces.size());
@@ -109,6 +114,12 @@ void take_world(Standby& standby, const NetEvent& event) {
   std::printf("stands by: holds the world of tick %llu, %zu cars\n", static_cast<unsigned long long>(tick_count(standby.world)),
               cars(standby.world).size());
   std::fflush(stdout);
+}
+
+// One that was not made yet is missing then: the world is asked for again.
+void forget_oldest(Standby& standby) {
+  standby.waiting_bytes -= standby.waiting.front().size();
+  standby.waiting.pop_front();
 }
 
 // Makes the ticks whose inputs are there. One that is missing, or that comes out otherwise, means to begin anew.
@@ -132,7 +143,7 @@ void follow(Standby& standby) {
         standby.pause = pause_least;
       }
     }
-    standby.waiting.pop_front();
+    forget_oldest(standby);
   }
 }
 
@@ -165,7 +176,9 @@ void take(Standby& standby, const NetEvent& event) {
   if (event.kind == NET_SAMPLE && key.channel == Channel::replica_inputs) {
     const auto* bytes = reinterpret_cast<const std::byte*>(event.data);
     standby.waiting.emplace_back(bytes, bytes + event.size);
-    if (!standby.same && standby.waiting.size() > inputs_depth) standby.waiting.pop_front();
+    standby.waiting_bytes += event.size;
+    while (standby.waiting_bytes > waiting_limit || (!standby.same && standby.waiting.size() > inputs_depth))
+      forget_oldest(standby);
   } else if (event.kind == NET_ALIVE || event.kind == NET_GONE) {
     take_token(standby, key, event.kind == NET_ALIVE);
   }

@@ -46,6 +46,7 @@ constexpr std::chrono::milliseconds on_its_way{100};
 // Whoever may publish here can invent keys: so many are passed on.
 constexpr size_t car_limit = 4'096, host_limit = 512;
 constexpr size_t sample_limit = size_t{1} << 20;     // bytes
+constexpr size_t parts_limit = 64;                   // of a car's surface: one of 640,000 nodes has as many
 constexpr size_t recording_limit = size_t{1} << 30;  // bytes: a page holds it whole
 // Assets: those of the cars that live, and of those before them the newest few, for pages that are behind. Together they have
 // so many bytes (one of 10,000 nodes has 4 MB), with control twice.
@@ -55,6 +56,7 @@ struct WatchedCar {
   uint64_t life = 0;                // so that browsers know it from the next of its id
   uint64_t key_tick = 0, tick = 0;  // of the keyframe, and of the newest message, that were passed on
   std::string asset;                // of its keyframe
+  std::set<uint32_t> parts = {};    // their first nodes: browsers keep the latest of each
   bool wanted = true;               // its keyframe
   uint64_t asking = 0;              // ticket; 0: none
   Clock::time_point asked{}, heard{};
@@ -209,9 +211,15 @@ void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::
   std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
 }
 
+// Whoever may publish can invent parts, and each is kept.
+bool is_part(WatchedCar& car, uint32_t first) {
+  if (car.parts.size() < parts_limit) car.parts.insert(first);
+  return car.parts.contains(first);
+}
+
 void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Keyframe>(bytes);
-  if (!message || message->tick() < car.key_tick) return;
+  if (!message || message->tick() < car.key_tick || !is_part(car, message->first())) return;
   car.key_tick = message->tick();
   car.tick = std::max(car.tick, car.key_tick);
   if (message->count() == message->node_count()) car.wanted = false;
@@ -224,7 +232,7 @@ void take_keyframe(Gateway& gateway, const std::string& id, WatchedCar& car, std
 
 void take_delta(Gateway& gateway, const std::string& id, WatchedCar& car, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Delta>(bytes);
-  if (!message) return;
+  if (!message || !is_part(car, message->first())) return;
   if (message->keyframe() > car.key_tick) car.wanted = true;
   if (message->keyframe() != car.key_tick || message->tick() < car.tick) return;
   car.tick = message->tick();

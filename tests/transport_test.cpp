@@ -302,16 +302,16 @@ TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
 }
 
 TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
-  const Session server = open_peer(), client = open_client(server);
+  const Session server = open_peer(), client = open_client(server), idle = open_client(server);
   ASSERT_EQ(net_queryable(server.get(), "q/long", 100, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/long", "known", 0).size(), 2u);
   const std::string data(size_t{60} << 20, 'x');  // four of them are 240 of 256 MiB
   uint64_t ticket = 0;
   for (int i = 0; i < 5; ++i) {
-    ASSERT_TRUE(wait_until(client, [&] {
+    ASSERT_TRUE(wait_until(idle, [&] {
       return net_get(client.get(), "q/long", data.data(), data.size(), 30000, &ticket) == TRANSPORT_OK;
     })) << transport_error();
-    ASSERT_TRUE(wait_until(client, [&] {
+    ASSERT_TRUE(wait_until(idle, [&] {
       const NetStats stats = stats_of(server);
       return stats.queries + stats.queries_refused == 2u + i;
     })) << i;

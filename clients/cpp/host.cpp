@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "cpp/session.h"
+#include "protocol/key.h"
 #include "schema/message_generated.h"
 
 using namespace crumple::client;
@@ -81,7 +82,7 @@ CrumpleParameters crumple_keep(void) {
 
 int crumple_spawn(Crumple* handle, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
   return with(handle, {{"car", car}, {"asset", asset}, {"spawn", spawn}, {"ticket", ticket}}, [&](Crumple* session) -> int {
-    if (!is_id(asset)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+    if (!crumple::is_hash(asset)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
     if (session->host.empty())
       return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
     if (!good_pose(spawn->pose)) return refuse_pose(car);

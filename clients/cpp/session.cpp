@@ -81,7 +81,7 @@ void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
 FollowedCar* followed(Crumple& session, std::string_view id) {
   auto at = session.cars.find(id);
   if (at == session.cars.end()) {
-    if (session.level == none) return nullptr;
+    if (session.level == none || session.cars.size() >= cars_limit) return nullptr;
     at = session.cars.try_emplace(std::string(id)).first;
     at->second.level = session.level;
   }
@@ -721,7 +721,7 @@ int crumple_surface(Crumple* handle, const char* id, CrumpleSurface* out) {
 }
 
 int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* out) {
-  if (!is_id(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+  if (!crumple::is_hash(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
   Asset& asset = session->assets[hash];
   if (asset.whole) {
     *out = asset.mesh;

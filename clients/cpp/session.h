@@ -31,6 +31,7 @@ inline constexpr int none = -1;  // of the surface levels
 // For a keyframe; then it is asked for again.
 inline constexpr uint32_t keyframe_ms = 3000;
 inline constexpr size_t sample_limit = size_t{1} << 20;  // bytes: reactions of 1,000 cars have 200 kB
+inline constexpr size_t cars_limit = 4'096;              // of those that come where all are followed: four scenes have as many
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr double past_kept = 0.5;  // s of a car that is shown as it was
 inline constexpr size_t answers_kept = 256;

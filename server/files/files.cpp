@@ -76,8 +76,15 @@ void FileWriter::put(std::string_view bytes) {
 
 void FileWriter::finish() {
   if (std::fflush(file_) != 0) fail();
-  if (beside_ != path_ && std::rename(beside_.c_str(), path_.c_str()) != 0) fail();
-  std::fclose(std::exchange(file_, nullptr));
+  if (beside_ != path_ && ::fsync(fileno(file_)) != 0) fail();
+  if (std::fclose(std::exchange(file_, nullptr)) != 0 ||
+      (beside_ != path_ && std::rename(beside_.c_str(), path_.c_str()) != 0)) {
+    const int error = errno;
+    std::error_code none;
+    if (beside_ != path_) std::filesystem::remove(beside_, none);
+    errno = error;
+    fail();
+  }
 }
 
 void FileWriter::fail() {

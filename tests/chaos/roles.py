@@ -197,9 +197,9 @@ def configured(mode, ends, network="-"):
     if verb == "connect":
         config.insert_json5("connect/timeout_ms", "3000")
         config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2}')
-    else:
-        # As server/transport/src/config.rs has it. With zenoh's two batches and 5 s a piece of an asset, which is four, stops a
-        # router on TLS (one thread receives and sends) for 5 s, and who asks and never reads stops any router as long.
+    elif network == "-":
+        # As server/transport/src/config.rs and server/router.json5 have it. With zenoh's two batches and 5 s whoever asks and never
+        # reads stops a router as long.
         for queue in ("data_high", "data", "real_time", "data_low"):
             config.insert_json5(f"transport/link/tx/queue/size/{queue}", "16")
         config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", "1000000")

@@ -107,21 +107,28 @@ pub extern "C" fn transport_version() -> *const c_char {
 
 /// What the work starts inherits that SIGPIPE is blocked: a peer that hangs up while it is written to ends nobody's program. (TLS
 /// writes by writev, which raises it.)
-#[cfg(unix)]
+#[cfg(target_os = "linux")]
 fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
-    // SAFETY: both sets are written before they are read, and only this thread's mask changes.
+    // SAFETY: all sets are written before they are read, and only this thread's mask changes.
     unsafe {
-        let (mut pipe, mut before) = (std::mem::zeroed(), std::mem::zeroed());
+        let (mut pipe, mut before, mut pending) = (std::mem::zeroed(), std::mem::zeroed(), std::mem::zeroed());
+        libc::sigpending(&mut pending);
+        let was_pending = libc::sigismember(&pending, libc::SIGPIPE) == 1;
         libc::sigemptyset(&mut pipe);
         libc::sigaddset(&mut pipe, libc::SIGPIPE);
         libc::pthread_sigmask(libc::SIG_BLOCK, &pipe, &mut before);
         let result = work();
+        // one that this thread itself raised meanwhile; one that was pending before is not ours
+        let at_once = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        if !was_pending {
+            libc::sigtimedwait(&pipe, ptr::null_mut(), &at_once);
+        }
         libc::pthread_sigmask(libc::SIG_SETMASK, &before, ptr::null_mut());
         result
     }
 }
 
-#[cfg(not(unix))]
+#[cfg(not(target_os = "linux"))]
 fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
@@ -179,7 +186,8 @@ pub unsafe extern "C" fn net_endpoint(net: *const Net) -> *const c_char {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_close(net: *mut Net) {
     if !net.is_null() {
-        unsafe { Box::from_raw(net) }.close();
+        let net = unsafe { Box::from_raw(net) };
+        with_sigpipe_blocked(|| net.close());
     }
 }
 

@@ -10,6 +10,7 @@ use crate::queue::{Next, Queue, Refused};
 use std::any::Any;
 use std::collections::{BTreeMap, HashMap};
 use std::ffi::CString;
+use std::ops::Bound;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -36,9 +37,9 @@ const MAX_OPEN_QUERIES: usize = 4096;
 const MAX_KEY: usize = 256;
 /// Keys that this session publishes on: 1,000 cars have 4,000, and hosts one each. 10 KB each with what zenoh keeps.
 const MAX_KEYS: usize = 1 << 14;
-/// Of the question by which a session that closes learns that all it sent has come: whoever may watch may ask there, and no scene is
-/// called so.
-const LAST_KEY: &str = "crumple/1/-/health";
+/// Of the question by which a session that closes learns that all it sent has come: whoever may watch may ask there, and no scene's id
+/// has such a character.
+const LAST_KEY: &str = "crumple/1/~/health";
 const LAST_WAIT: Duration = Duration::from_secs(1);
 /// Alive and gone reports that were not polled yet.
 const MAX_REPORTS: usize = 1 << 16;
@@ -97,7 +98,7 @@ pub struct Net {
     shared: Arc<Shared>,
     sent: Sent,
     puts: Arc<Queue<Put>>,
-    keys: Mutex<HashMap<String, Arc<Key>>>,
+    keys: Mutex<BTreeMap<String, Arc<Key>>>,
     keys_so_far: AtomicU64,
     threads: Vec<JoinHandle<()>>,
     pub polled: Mutex<Vec<Event>>,
@@ -206,9 +207,15 @@ impl Net {
 
     /// Nothing is published any more on the keys that begin so, until something is.
     pub fn withdraw(&self, prefix: &str) {
-        // one that the full queue does not take stays declared
-        let gone = |key: &Arc<Key>| self.puts.push(Put::Withdraw(key.clone()), 0).is_ok();
-        self.keys.lock().unwrap().retain(|name, key| !(name.starts_with(prefix) && gone(key)));
+        let mut keys = self.keys.lock().unwrap();
+        let from = (Bound::Included(prefix), Bound::Unbounded);
+        let names = keys.range::<str, _>(from).map(|(name, _)| name).take_while(|name| name.starts_with(prefix));
+        for name in names.cloned().collect::<Vec<_>>() {
+            // one that the full queue does not take stays declared
+            if self.puts.push(Put::Withdraw(keys[&name].clone()), 0).is_ok() {
+                keys.remove(&name);
+            }
+        }
     }
 
     pub fn subscribe(&self, key: &str, depth: u32, longest: usize) -> Result<(), Fail> {
@@ -538,6 +545,8 @@ impl Shared {
             Some(too_long("the key or its parameters"))
         } else if self.inbox.is_oversized(source, payload.len()) {
             Some(too_long(&format!("a question of {} bytes", payload.len())))
+        } else if self.inbox.refuses(source, Kind::Query, payload.len()) {
+            Some(b"too many questions wait here: ask again later".to_vec())
         } else {
             None
         };
