@@ -7,6 +7,7 @@
 #include <deque>
 #include <random>
 #include <stdexcept>
+#include <utility>
 
 #include "answer.h"
 #include "protocol/key.h"
@@ -263,11 +264,12 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
   standby.asker = std::hash<std::string>()(options.id);
   need(net_subscribe(net, (options.root + "replica/inputs").c_str(), inputs_depth, inputs_size_limit));
   for (const char* what : {"owner/*", "standby/*"}) need(net_watch(net, (options.root + what).c_str()));
-  while (!stop) {
+  for (auto looked = Clock::now(); !stop;) {
     announce(standby);
     NetEvent events[64];
     const int got = net_poll(net, events, 64, standby.same && !standby.waiting.empty() ? 0 : 50'000);
     need(got);
+    if (const auto before = std::exchange(looked, Clock::now()); looked - before > longest_blink) standby.alone = looked;
     for (int k = 0; k < got; ++k) take(standby, events[k]);
     follow(standby);
     if (takes_over(standby)) break;
