@@ -1,5 +1,6 @@
 #include "standby.h"
 
+#include <algorithm>
 #include <charconv>
 #include <chrono>
 #include <cstdio>
@@ -24,7 +25,8 @@ constexpr uint32_t inputs_depth = 4096;                 // ticks that may wait w
 constexpr size_t inputs_size_limit = size_t{64} << 20;  // bytes of one tick's: what a message may have
 constexpr size_t ticks_at_once = 256;                   // when they catch up, between two looks at the network
 constexpr std::chrono::seconds first_look{2};           // no owner is seen within this of the first link: so there is none
-constexpr std::chrono::seconds precedence{2};           // that another has to take over before this one
+constexpr std::chrono::seconds precedence{2};           // that each of those before this one has to take over
+constexpr ptrdiff_t turns_most = 3;                     // of those: tokens of strangers do not put it off for long
 constexpr std::chrono::milliseconds settling{200};      // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
@@ -183,10 +185,10 @@ bool takes_over(Standby& standby) {
     standby.linked = false;
     return false;
   }
-  const bool first = standby.tokens.empty() || standby.token <= *standby.tokens.begin();
-  Clock::duration wait = settling;
+  const auto before = std::distance(standby.tokens.begin(), standby.tokens.lower_bound(standby.token));
+  Clock::duration wait = settling + precedence * std::min<ptrdiff_t>(before, turns_most);
   if (!standby.linked) wait += first_look;
-  if (!first || (standby.epoch > 0 && !standby.same)) wait += precedence;
+  if (standby.epoch > 0 && !standby.same) wait += precedence;
   return Clock::now() - standby.alone >= wait;
 }
 
