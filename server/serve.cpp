@@ -16,6 +16,7 @@
 #include <set>
 #include <stdexcept>
 #include <thread>
+#include <utility>
 
 #include "answer.h"
 #include "metrics.h"
@@ -188,10 +189,13 @@ bool become_owner(Server& server, const std::atomic<bool>& stop) {
   }
   if (server.options.connect.empty()) return true;
   need(net_watch(server.net, (server.root + "owner/*").c_str()));
-  for (const auto until = Clock::now() + look; Clock::now() < until && !stop;) {
+  for (auto looked = Clock::now(), until = looked + look; looked < until && !stop;) {
     NetEvent events[16];
     const int got = net_poll(server.net, events, 16, 50'000);
     need(got);
+    // Where the own line is cut, or this process slept, nobody was seen: it is looked anew.
+    const auto before = std::exchange(looked, Clock::now());
+    if (net_connected(server.net) != 1 || looked - before > longest_blink) until = looked + look;
     for (int k = 0; k < got; ++k)
       if (events[k].kind == NET_ALIVE && parse_key(events[k].key, server.root).value_or(Key{}).channel == Channel::owner)
         throw std::runtime_error("scene " + server.options.scene +

@@ -1,5 +1,6 @@
 #include "standby.h"
 
+#include <algorithm>
 #include <charconv>
 #include <chrono>
 #include <cstdio>
@@ -7,6 +8,7 @@
 #include <deque>
 #include <random>
 #include <stdexcept>
+#include <utility>
 
 #include "answer.h"
 #include "protocol/key.h"
@@ -23,7 +25,8 @@ constexpr uint32_t inputs_depth = 4096;                 // ticks that may wait w
 constexpr size_t inputs_size_limit = size_t{64} << 20;  // bytes of one tick's: what a message may have
 constexpr size_t ticks_at_once = 256;                   // when they catch up, between two looks at the network
 constexpr std::chrono::seconds first_look{2};           // no owner is seen within this of the first link: so there is none
-constexpr std::chrono::seconds precedence{2};           // that another has to take over before this one
+constexpr std::chrono::seconds precedence{2};           // that each of those before this one has to take over
+constexpr ptrdiff_t turns_most = 3;                     // of those: tokens of strangers do not put it off for long
 constexpr std::chrono::milliseconds settling{200};      // until it is known whether the owner is gone or the own line is cut
 constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
@@ -195,10 +198,10 @@ bool takes_over(Standby& standby) {
     standby.linked = false;
     return false;
   }
-  const bool first = standby.tokens.empty() || standby.token <= *standby.tokens.begin();
-  Clock::duration wait = settling;
+  const auto before = std::distance(standby.tokens.begin(), standby.tokens.lower_bound(standby.token));
+  Clock::duration wait = settling + precedence * std::min<ptrdiff_t>(before, turns_most);
   if (!standby.linked) wait += first_look;
-  if (!first || (standby.epoch > 0 && !standby.same)) wait += precedence;
+  if (standby.epoch > 0 && !standby.same) wait += precedence;
   return Clock::now() - standby.alone >= wait;
 }
 
@@ -276,11 +279,12 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
   standby.asker = std::hash<std::string>()(options.id);
   need(net_subscribe(net, (options.root + "replica/inputs").c_str(), inputs_depth, inputs_size_limit));
   for (const char* what : {"owner/*", "standby/*"}) need(net_watch(net, (options.root + what).c_str()));
-  while (!stop) {
+  for (auto looked = Clock::now(); !stop;) {
     announce(standby);
     NetEvent events[64];
     const int got = net_poll(net, events, 64, standby.same && !standby.waiting.empty() ? 0 : 50'000);
     need(got);
+    if (const auto before = std::exchange(looked, Clock::now()); looked - before > longest_blink) standby.alone = looked;
     for (int k = 0; k < got; ++k) take(standby, events[k]);
     follow(standby);
     if (takes_over(standby)) break;

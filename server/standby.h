@@ -24,6 +24,9 @@ struct Owner {
   friend auto operator<=>(const Owner&, const Owner&) = default;
 };
 std::string random_id();
+// Who looked away from the network for longer, because the machine slept or had no time, knows nothing of who is there now: its
+// own line may be cut, which it learns a little later.
+inline constexpr std::chrono::milliseconds longest_blink{1000};
 
 // ---- of the owner ----
 

@@ -318,7 +318,21 @@ void send_obstacles_again(Crumple& session) {
   net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_REAL_TIME);
 }
 
+// What is held may be of the one and what is told from now on of the other; where two were there for a moment, no token of the
+// scene or of its cars went.
+void another_owner(Crumple& session) {
+  send_obstacles_again(session);
+  for (auto& [id, car] : session.cars) {
+    if (!car.alive) continue;
+    car.fresh = true;
+    car.coming = {};
+    forget_question(session, car);
+    ask_for_keyframe(session, id, car);
+  }
+}
+
 void take_liveliness(Crumple& session, const Key& key, bool alive) {
+  if (key.channel == Channel::owner) return another_owner(session);
   if (key.channel == Channel::server) {
     session.server_alive = alive;
     if (!alive) session.clock = {};  // the next one's ticks begin elsewhere
@@ -393,8 +407,9 @@ int begin(Crumple& session, const char* connect, const char* network) {
     return fail(CRUMPLE_CLOSED, std::string("cannot reach ") + connect + " (" + transport_error() +
                                     "): is `crumple serve` running there" +
                                     (network ? ", and does it know this user and certificate?" : "?"));
-  const std::string server = session.root + "server", health = session.root + "health";
-  if (net_watch(session.net, server.c_str()) != 0 || net_subscribe(session.net, health.c_str(), 0, sample_limit) != 0)
+  const std::string server = session.root + "server", owners = session.root + "owner/*", health = session.root + "health";
+  if (net_watch(session.net, server.c_str()) != 0 || net_watch(session.net, owners.c_str()) != 0 ||
+      net_subscribe(session.net, health.c_str(), 0, sample_limit) != 0)
     return fail(CRUMPLE_CLOSED, transport_error());
   const std::string reactions = session.root + "host/" + session.host + "/reactions";
   if (!session.host.empty() && net_subscribe(session.net, reactions.c_str(), reactions_kept, sample_limit) != 0)
