@@ -66,7 +66,8 @@ TEST(Files, OfALargerFileThanThereIsRoomForNothingIsTaken) {
 TEST(Files, ADiskWithoutRoomIsSaidAndNothingIsLeftOnIt) {
   const Files files;
   const auto path = files.write("old.car", "as it was");
-  const Model& model = box_car()->model;
+  const auto car = box_car();
+  const Model& model = car->model;
   const std::vector<float> rest(300);
   const std::vector<uint32_t> triangle(300);
   Animation film;

@@ -35,7 +35,8 @@ TEST(Keys, AreParsedIntoWhatStandsUnderThem) {
            {"owner/1000000000-00ff", Channel::owner, "00ff", 1'000'000'000},
            {"standby/1-00ff-", Channel::standby, "00ff-", 1},
        }) {
-    const auto parsed = parse_key(root + key, root);
+    const std::string whole = root + key;  // what is parsed points into it
+    const auto parsed = parse_key(whole, root);
     ASSERT_TRUE(parsed) << key;
     EXPECT_EQ(parsed->channel, channel) << key;
     EXPECT_EQ(parsed->id, id) << key;

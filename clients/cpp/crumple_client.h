@@ -44,10 +44,11 @@ typedef struct CrumpleOptions {
 
 // Waits until the server of the scene is seen, at most timeout_ms. The first session of a process sets RUST_MIN_STACK in the
 // environment, if nobody has (32 MiB of address space a thread), and the first over TLS ZENOH_RUNTIME (zenoh breaks such a link
-// otherwise): no other thread may read the environment meanwhile, and the first session over TLS must be the first of the process.
+// otherwise): no other thread may read the environment meanwhile, and the first session over TLS must be the first of the
+// process.
 int crumple_open(const CrumpleOptions*, Crumple** out);
-// Waits until what was sent has come to the other end, at most 1 s. A session that was closed stays closed: its handle never comes
-// again, and to close it twice does nothing.
+// Waits until what was sent has come to the other end, at most 1 s. A session that was closed stays closed: its handle never
+// comes again, and to close it twice does nothing.
 void crumple_close(Crumple*);
 
 // Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative

@@ -44,15 +44,15 @@ void net_close(Net*);
 
 enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's
 
-// Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept until
-// they are withdrawn, NET_KEYS at most: beyond them TRANSPORT_DROPPED.
-// A session does not hear its own samples and questions; it does see its own announcements.
+// Takes a copy and returns at once; a thread of the session publishes in order. Publishers are declared once a key and kept
+// until they are withdrawn, NET_KEYS at most: beyond them TRANSPORT_DROPPED. A session does not hear its own samples and
+// questions; it does see its own announcements.
 int net_put(Net*, const char* key, const void* data, size_t size, enum NetPriority priority);
 
 // Nothing more is published on the keys that begin so (a car was despawned), until something is.
 int net_withdraw(Net*, const char* prefix);
 
-enum { NET_LONGEST = 64 << 20, NET_KEYS = 16384 };  // bytes of a message that a session receives; keys that it publishes on
+enum { NET_LONGEST = 64 << 20, NET_KEYS = 8192 };  // bytes of a message that a session receives; keys that it publishes on
 
 // longest: bytes of a sample that is handed on; longer ones are counted in NetStats.oversized.
 // depth 0: latest only, per key (an older sample that was not yet polled is replaced, and counted in NetStats.replaced).
@@ -61,9 +61,9 @@ enum { NET_LONGEST = 64 << 20, NET_KEYS = 16384 };  // bytes of a message that a
 int net_subscribe(Net*, const char* key_expression, uint32_t depth, size_t longest);
 // Ends every subscription with this very expression. What has arrived before still comes.
 int net_unsubscribe(Net*, const char* key_expression);
-// Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused, as are those that bring more than
-// `longest` bytes. Keys that came, here and elsewhere, have up to 256 bytes and may be key expressions, with wildcards: what they
-// name is to be checked. Each query is to be answered; of those that are not, the oldest beyond 4,096 is given up.
+// Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused, as are those that bring more
+// than `longest` bytes. Keys that came, here and elsewhere, have up to 256 bytes and may be key expressions, with wildcards:
+// what they name is to be checked. Each query is to be answered; of those that are not, the oldest beyond 4,096 is given up.
 int net_queryable(Net*, const char* key_expression, uint32_t depth, size_t longest);
 // Asks; the answers arrive by net_poll as NET_REPLY with this ticket, then one NET_REPLY_END, at the latest after timeout_ms
 // (a timeout itself comes as a failed NET_REPLY, then the end).

@@ -36,7 +36,7 @@ const MAX_OPEN_QUERIES: usize = 4096;
 /// Bytes of a key, and of the parameters of a question, that come in: the longest of ours have 83, and questions have no parameters.
 const MAX_KEY: usize = 256;
 /// Keys that this session publishes on: 1,000 cars have 4,000, and hosts one each. 10 KB each with what zenoh keeps.
-const MAX_KEYS: usize = 1 << 14;
+const MAX_KEYS: usize = 1 << 13;
 /// Of the question by which a session that closes learns that all it sent has come: whoever may watch may ask there, and no scene's id
 /// has such a character.
 const LAST_KEY: &str = "crumple/1/~/health";
