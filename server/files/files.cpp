@@ -71,7 +71,7 @@ FileWriter::~FileWriter() {
 }
 
 void FileWriter::put(std::string_view bytes) {
-  if (std::fwrite(bytes.data(), 1, bytes.size(), file_) != bytes.size()) fail();
+  if (!bytes.empty() && std::fwrite(bytes.data(), 1, bytes.size(), file_) != bytes.size()) fail();
 }
 
 void FileWriter::finish() {
