@@ -17,8 +17,8 @@
 #include "bake/load_car.h"
 #include "car/car.h"
 #include "sim/deform.h"
+#include "tick/surface_update.h"
 #include "viewer/surface.h"
-#include "wire/surface.h"
 
 namespace {
 

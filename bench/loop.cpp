@@ -6,7 +6,7 @@
 #include "rooms.h"
 #include "sim/classic.h"
 #include "sim/deform.h"
-#include "wire/surface.h"
+#include "tick/surface_update.h"
 
 namespace crumple {
 namespace {

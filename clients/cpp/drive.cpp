@@ -14,9 +14,8 @@
 #include "cpp/crumple.hpp"
 #include "cpp/scene.h"
 #include "io/files.h"
-
-#define XXH_INLINE_ALL
-#include <xxhash.h>
+#include "protocol/asset.h"
+#include "protocol/key.h"
 
 namespace crumple::client {
 namespace {
@@ -25,12 +24,11 @@ using Eigen::Quaterniond;
 using Eigen::Vector3d;
 using Clock = std::chrono::steady_clock;
 
-constexpr size_t car_limit = size_t{256} << 20;  // bytes of a baked car, as those that a server takes
-constexpr double gravity = 9.81;                 // m/s^2
-constexpr double braking = 0.7 * gravity;        // locked wheels on a dry road
-constexpr double silence = 2;                    // s: a server that is late in a crash is not heard of for so long
-constexpr double patience = 60;                  // s beyond the scene's, for a server that is late
-constexpr double yaw_braking = 5;  // rad/s^2: the same at wheels 1.3 m from the centre of a car of 1500 kg, 2600 kg m^2
+constexpr double gravity = 9.81;           // m/s^2
+constexpr double braking = 0.7 * gravity;  // locked wheels on a dry road
+constexpr double silence = 2;              // s: a server that is late in a crash is not heard of for so long
+constexpr double patience = 60;            // s beyond the scene's, for a server that is late
+constexpr double yaw_braking = 5;          // rad/s^2: the same at wheels 1.3 m from the centre of a car of 1500 kg, 2600 kg m^2
 
 // Progress is seen at once, also through a pipe.
 template <class... Values>
@@ -120,11 +118,9 @@ struct Run {
 
 std::string hash_of_car(const std::string& car) {
   if (car.empty()) throw std::runtime_error("no car is given: --car FILE, the same as for `crumple serve`");
-  if (car.size() == 16 && car.find_first_not_of("0123456789abcdef") == std::string::npos) return car;
-  const std::string bytes = read_file(car, car_limit, "give the file that `crumple bake` wrote, or its hash");
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
-  return digits;
+  if (is_hash(car)) return car;
+  const std::string bytes = read_file(car, asset_limit, "give the file that `crumple bake` wrote, or its hash");
+  return hash_of(bytes.data(), bytes.size());
 }
 
 void took(Run& run, uint64_t tick) { run.tick = std::max(run.tick, tick); }

@@ -2,9 +2,6 @@
 // that does not hold is counted as refused and leaves everything as it was.
 #include "cpp/session.h"
 
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include <algorithm>
 #include <array>
 #include <cstdio>
@@ -15,7 +12,9 @@
 #include <unordered_map>
 #include <utility>
 
+#include "protocol/asset.h"
 #include "protocol/key.h"
+#include "protocol/message.h"
 #include "schema/car_generated.h"
 #include "schema/message_generated.h"
 
@@ -23,13 +22,6 @@ namespace crumple::client {
 namespace {
 
 thread_local std::string last_error;
-
-template <class Table>
-const Table* verified(std::span<const uint8_t> bytes) {
-  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
-  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
-  return flatbuffers::GetRoot<Table>(bytes.data());
-}
 
 void copy(const schema::Vec3& from, float (&to)[3]) {
   to[0] = from.x();
@@ -224,16 +216,10 @@ bool read_skin(const schema::Car& car, Asset& asset) {
   return asset.skin.size() == car.vertex()->size() && asset.skin_nodes > 0;
 }
 
-std::string hash_of(const Asset& asset) {
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(asset.words.data(), asset.size, 0)));
-  return digits;
-}
-
 // The views of a mesh, once every piece is there and the bytes are those that the hash names.
 std::string read_mesh(const std::string& hash, Asset& asset) {
   const auto* bytes = reinterpret_cast<const uint8_t*>(asset.words.data());
-  if (const std::string digits = hash_of(asset); hash != digits)
+  if (const std::string digits = hash_of(asset.words.data(), asset.size); hash != digits)
     return "the bytes of asset " + hash + " have the hash " + digits + ": ask again";
   flatbuffers::Verifier verifier(bytes, asset.size);
   if (!schema::VerifyCarBuffer(verifier)) return "asset " + hash + " is not a baked car";
@@ -758,12 +744,12 @@ int crumple_mesh(Crumple* handle, const char* asset, CrumpleMesh* out) {
 
 int crumple_add_asset(Crumple* handle, const void* car, size_t size, char hash[17]) {
   return with(handle, {{"car", car}, {"hash", hash}}, [&](Crumple* session) -> int {
-    if (size > asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
+    if (size > crumple::asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
     Asset asset;
     asset.words.resize((size + 7) / 8);
     if (size > 0) std::memcpy(asset.words.data(), car, size);
     asset.size = size;
-    const std::string name = hash_of(asset);
+    const std::string name = crumple::hash_of(asset.words.data(), asset.size);
     if (const std::string trouble = read_mesh(name, asset); !trouble.empty()) return fail(CRUMPLE_BAD_ARGUMENT, trouble);
     asset.whole = true;
     Asset& known = session->assets[name];

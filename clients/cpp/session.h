@@ -14,6 +14,7 @@
 
 #include "cpp/crumple_client.h"
 #include "io/transport.h"
+#include "protocol/asset.h"
 #include "viewer/surface.h"
 
 namespace crumple::client {
@@ -40,11 +41,8 @@ inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transpo
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
 inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
-// An asset comes in pieces of this size, so that a slow line brings each in time: the query's payload is the offset (8 bytes,
-// little endian; none: 0); a shorter answer is the last.
-inline constexpr size_t asset_piece = size_t{256} << 10;
-inline constexpr std::chrono::milliseconds asset_patience{10'000};  // for each, or the session's timeout if that is longer
-inline constexpr size_t asset_limit = size_t{256} << 20;
+inline constexpr std::chrono::milliseconds asset_patience{
+    10'000};  // for each piece, or the session's timeout if that is longer
 
 // When messages of a tick come, less the tick's own time. The least of the last one or two seconds is nearest to the truth:
 // what comes later was held up.

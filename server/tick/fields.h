@@ -79,7 +79,7 @@ void field(File& file, Body& body) {
   field(file, body.touching, body.drift, body.lost, body.settled);
 }
 template <class File>
-void field(File& file, Told& told) {
+void field(File& file, ViewerState& told) {
   if constexpr (!File::sums) field(file, told.keyframe, told.latest);
   field(file, told.tick, told.keyframe_tick, told.due, told.flowing);
 }
@@ -98,7 +98,7 @@ void field(File& file, Instance& car) {
     for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
   field(file, car.touched_tick, car.sweeps, car.substeps, car.fresh);
   if constexpr (File::sums) file.raw(&car.hashes, sizeof car.hashes);
-  for (Told& told : car.told) field(file, told);
+  for (ViewerState& told : car.told) field(file, told);
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 

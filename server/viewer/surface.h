@@ -10,8 +10,6 @@
 
 namespace crumple::client {
 
-inline constexpr uint32_t surface_node_limit = 200'000;  // as the baked car's
-
 using Quanta = std::vector<int16_t>;  // 3 a node of the skin
 
 struct Gathering {  // the parts of one tick, until its hash is met

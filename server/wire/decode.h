@@ -12,14 +12,13 @@
 #include <vector>
 
 #include "protocol/limits.h"
+#include "protocol/message.h"
 #include "sim/body.h"
 #include "sim/material.h"
 #include "sim/motion.h"
 #include "wire/refusal.h"
 
 namespace crumple {
-
-using Bytes = std::vector<std::byte>;
 
 struct Intent {
   std::string car;
