@@ -109,7 +109,7 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
       tests.insert((*i)[1].str() + "." + (*i)[2].str());
   std::ifstream file(root / "server/README.md");
   const std::string text{std::istreambuf_iterator<char>(file), {}};
-  const std::regex named("`([A-Z]\\w+\\.)(\\w*)(\\*|…)?`");
+  const std::regex named("`([A-Z]\\w+\\.)([A-Z]\\w*|)(\\*|…)?`");
   int checked = 0;
   for (std::sregex_iterator i(text.begin(), text.end(), named), end; i != end; ++i, ++checked) {
     const std::string name = (*i)[1].str() + (*i)[2].str();
