@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cctype>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -156,15 +155,14 @@ std::vector<Document> documents() {
 std::set<std::string> anchors(const Document& document) {
   std::set<std::string> found;
   std::map<std::string, int> times;
+  const std::string punctuation = "!\"#$%&'()*+,./:;<=>?@[\\]^`{|}~";
   const std::regex heading("#{1,6} +(.*?) *"), link("\\[([^\\]]*)\\]\\([^)]*\\)");
   for (const std::string& line : document.lines) {
     std::smatch match;
     if (!std::regex_match(line, match, heading)) continue;
     std::string anchor;
     for (const char c : std::regex_replace(match[1].str(), link, "$1")) {
-      const auto byte = static_cast<unsigned char>(c);
-      if (c == ' ') anchor += '-';
-      if (byte >= 0x80 || std::isalnum(byte) || c == '-' || c == '_') anchor += byte < 0x80 ? char(std::tolower(byte)) : c;
+      if (punctuation.find(c) == std::string::npos) anchor += c == ' ' ? '-' : c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c;
     }
     const int before = times[anchor]++;
     found.insert(before == 0 ? anchor : anchor + "-" + std::to_string(before));
