@@ -1,4 +1,5 @@
-// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie.
+// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie,
+// and what documents say of files.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -136,7 +137,7 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
       tests.insert((*i)[1].str() + "." + (*i)[2].str());
   std::ifstream file(root / "server/README.md");
   const std::string text{std::istreambuf_iterator<char>(file), {}};
-  const std::regex named("`([A-Z]\\w+\\.)(\\w*)(\\*|…)?`");
+  const std::regex named("`([A-Z]\\w+\\.)([A-Z]\\w*|)(\\*|…)?`");
   int checked = 0;
   for (std::sregex_iterator i(text.begin(), text.end(), named), end; i != end; ++i, ++checked) {
     const std::string name = (*i)[1].str() + (*i)[2].str();
@@ -144,6 +145,104 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
     EXPECT_TRUE(at != tests.end() && ((*i)[3].matched ? at->starts_with(name) : *at == name)) << i->str();
   }
   EXPECT_GT(checked, 25);
+}
+
+// A file in Markdown without what its fences enclose: code links nowhere and has no headings.
+struct Document {
+  fs::path path;
+  std::vector<std::string> lines;
+};
+
+Document read_document(const fs::path& path) {
+  Document document{path, {}};
+  std::ifstream file(path);
+  bool code = false;
+  for (std::string line; std::getline(file, line);) {
+    const bool fence =
+        line.find_first_not_of(' ') != std::string::npos && line.compare(line.find_first_not_of(' '), 3, "```") == 0;
+    code = code != fence;
+    document.lines.push_back(code || fence ? "" : line);
+  }
+  return document;
+}
+
+std::vector<Document> documents() {
+  std::vector<Document> found;
+  for (fs::recursive_directory_iterator i(root), end; i != end; ++i) {
+    const std::string name = i->path().filename().string();
+    if (i->is_directory() && (name[0] == '.' || name == "build" || name == "node_modules")) i.disable_recursion_pending();
+    if (i->is_regular_file() && i->path().extension() == ".md") found.push_back(read_document(i->path()));
+  }
+  return found;
+}
+
+// The anchors of its headings, as GitHub makes them: small letters, no punctuation, a hyphen for a blank, -1 for the second
+// one.
+std::set<std::string> anchors(const Document& document) {
+  std::set<std::string> found;
+  std::map<std::string, int> times;
+  const std::string punctuation = "!\"#$%&'()*+,./:;<=>?@[\\]^`{|}~";
+  const std::regex heading("#{1,6} +(.*?) *"), link("\\[([^\\]]*)\\]\\([^)]*\\)");
+  for (const std::string& line : document.lines) {
+    std::smatch match;
+    if (!std::regex_match(line, match, heading)) continue;
+    std::string anchor;
+    for (const char c : std::regex_replace(match[1].str(), link, "$1")) {
+      if (punctuation.find(c) == std::string::npos) anchor += c == ' ' ? '-' : c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c;
+    }
+    const int before = times[anchor]++;
+    found.insert(before == 0 ? anchor : anchor + "-" + std::to_string(before));
+  }
+  return found;
+}
+
+TEST(Layout, TheReadmeIsAFrontPage) {
+  constexpr int most_lines = 150, most_columns = 120;  // what a reader takes in before going on
+  std::ifstream file(root / "README.md");
+  int lines = 0;
+  for (std::string line; std::getline(file, line);) {
+    ++lines;
+    const auto columns = std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xc0) != 0x80; });  // of UTF-8
+    EXPECT_LE(columns, most_columns) << "README.md:" << lines;
+  }
+  EXPECT_GT(lines, 0);
+  EXPECT_LE(lines, most_lines);
+}
+
+TEST(Layout, EveryLinkOfADocumentLeadsToAPlaceThatIsThere) {
+  const std::regex code("`[^`]*`"), link("\\]\\(([^)\\s]+)[^)]*\\)|(?:href|src)=\"([^\"]+)\""), elsewhere("[a-z]+:.*");
+  int checked = 0;
+  for (const Document& document : documents()) {
+    for (const std::string& line : document.lines) {
+      const std::string prose = std::regex_replace(line, code, "");
+      for (std::sregex_iterator i(prose.begin(), prose.end(), link), end; i != end; ++i) {
+        const std::string target = (*i)[1].str() + (*i)[2].str();
+        if (std::regex_match(target, elsewhere)) continue;
+        ++checked;
+        const size_t hash = target.find('#');
+        const fs::path path = hash == 0 ? document.path : document.path.parent_path() / target.substr(0, hash);
+        const std::string said = fs::relative(document.path, root).string() + ": " + target;
+        EXPECT_TRUE(fs::exists(path)) << said;
+        if (hash == std::string::npos || !fs::exists(path)) continue;
+        EXPECT_TRUE(anchors(read_document(path)).count(target.substr(hash + 1))) << said;
+      }
+    }
+  }
+  EXPECT_GT(checked, 25);
+}
+
+// "`server/setup ...`" or "`clients/scenes/`": from the root. What a build makes is looked for by manual_test.py.
+TEST(Layout, EveryFileThatADocumentNamesIsThere) {
+  const std::regex named("`((?:bench|clients|recordings|schema|server|tests)/[\\w/.]*)");
+  int checked = 0;
+  for (const Document& document : documents()) {
+    for (const std::string& line : document.lines) {
+      for (std::sregex_iterator i(line.begin(), line.end(), named), end; i != end; ++i, ++checked) {
+        EXPECT_TRUE(fs::exists(root / (*i)[1].str())) << fs::relative(document.path, root) << ": " << (*i)[1];
+      }
+    }
+  }
+  EXPECT_GT(checked, 50);
 }
 
 TEST(Layout, TheTopLevelHoldsWhatTheReadmeSaysAndNothingElse) {
