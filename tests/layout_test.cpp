@@ -246,8 +246,9 @@ TEST(Layout, EveryFileThatADocumentNamesIsThere) {
 }
 
 TEST(Layout, TheTopLevelHoldsWhatTheReadmeSaysAndNothingElse) {
-  const std::set<std::string> allowed = {"CMakeLists.txt", "LICENSE", "README.md", "bench", "clients",
-                                         "recordings",     "schema",  "server",    "tests", "build"};
+  const std::set<std::string> allowed = {"CMakeLists.txt", "CMakePresets.json", "LICENSE", "README.md", "bench",
+                                         "clients",        "recordings",        "schema",  "server",    "tests",
+                                         "build"};
   for (const auto& entry : fs::directory_iterator(root)) {
     const std::string name = entry.path().filename().string();
     EXPECT_TRUE(name[0] == '.' || allowed.count(name)) << name;
