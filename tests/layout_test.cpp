@@ -1,6 +1,7 @@
 // The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -19,11 +20,10 @@ struct Source {
   std::string text;
 };
 
-std::vector<Source> sources(const std::string& folder) {
+std::vector<Source> sources(const std::string& folder, const std::set<std::string>& extensions = {".cpp", ".h"}) {
   std::vector<Source> found;
   for (const auto& entry : fs::recursive_directory_iterator(root / folder)) {
-    const auto extension = entry.path().extension();
-    if (extension != ".cpp" && extension != ".h") continue;
+    if (!extensions.count(entry.path().extension())) continue;
     std::ifstream file(entry.path());
     found.push_back({fs::relative(entry.path(), root).string(), {std::istreambuf_iterator<char>(file), {}}});
   }
@@ -72,6 +72,47 @@ TEST(Layout, ClientsKnowNothingOfTheServerButItsTransportProtocolAndFiles) {
       }
     }
   }
+}
+
+// The modules of the web client that each of them imports, types too.
+std::map<std::string, std::set<std::string>> web_imports() {
+  const std::regex import("(?:from|import)[\\s(]*[\"'](\\.[^\"']+)\\.js[\"']");
+  std::map<std::string, std::set<std::string>> imports;
+  for (const Source& source : sources("clients/web/src", {".ts"})) {
+    std::set<std::string>& names = imports[source.name];
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), import), end; i != end; ++i)
+      names.insert((fs::path(source.name).parent_path() / ((*i)[1].str() + ".ts")).lexically_normal().string());
+  }
+  return imports;
+}
+
+TEST(Layout, NoModuleOfTheWebClientImportsItselfByAWayAround) {
+  auto imports = web_imports();
+  EXPECT_GT(imports.size(), 10u);
+  const auto left = [&imports](const std::string& name) { return imports.count(name) > 0; };
+  while (std::erase_if(imports, [&](const auto& module) { return std::ranges::none_of(module.second, left); }) > 0) {
+  }
+  if (imports.empty()) return;
+  // Each that is left imports one that is left: whoever follows them comes round.
+  std::vector<std::string> way;
+  for (std::string at = imports.begin()->first; std::ranges::count(way, at) < 2; at = *std::ranges::find_if(imports[at], left))
+    way.push_back(at);
+  way.erase(way.begin(), std::ranges::find(way, way.back()));
+  std::string circle;
+  for (const std::string& name : way) circle += (circle.empty() ? "" : " imports ") + name;
+  FAIL() << circle;
+}
+
+TEST(Layout, ThePackageForBrowsersKnowsNothingOfThePageThatIsMadeWithIt) {
+  const std::string page = "clients/web/src/page/";
+  int checked = 0;
+  for (const auto& [name, others] : web_imports()) {
+    for (const std::string& other : others) {
+      EXPECT_TRUE(name.starts_with(page) || !other.starts_with(page)) << name << " imports " << other;
+      ++checked;
+    }
+  }
+  EXPECT_GT(checked, 50);
 }
 
 TEST(Layout, TheSimulationKnowsNoClockThreadFileOrRandomNumber) {

@@ -632,7 +632,7 @@ async function twoFingers(opened) {
   const session = await opened.context().newCDPSession(opened);
   const touch = (type, ...fingers) => session.send("Input.dispatchTouchEvent", { type, touchPoints: fingers.map((x, id) => ({ x, y: 200, id })) });
   const eye = () => opened.evaluate(() => {
-    const { camera, controls } = window.crumple.tools().paint.stage, { x, y, z } = camera.position.clone().sub(controls.target);
+    const { camera, controls } = window.crumple.tools().paint.workbench, { x, y, z } = camera.position.clone().sub(controls.target);
     return { away: Math.hypot(x, y, z), azimuth: Math.atan2(y, x) };
   });
   const move = async (from, to) => {

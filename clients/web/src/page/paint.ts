@@ -2,11 +2,11 @@
 // so a painted mask is a regions file.
 import * as THREE from "three";
 import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js";
-import { readCar, type BakedCar } from "./baked.js";
-import type { Control } from "./control.js";
-import { digits, hashOf, type Vec3 } from "./decode.js";
-import { CarMesh } from "./three.js";
-import { download, pick, sentence, type Shown, type Stage } from "./tools.js";
+import { readCar, type BakedCar } from "../baked.js";
+import type { Control } from "../control.js";
+import { digits, hashOf, type Vec3 } from "../decode.js";
+import { CarMesh } from "../three.js";
+import { download, pick, sentence, type Shown, type Workbench } from "./workbench.js";
 
 interface Point {
   x: number;
@@ -50,7 +50,7 @@ export class Paint {
   #ray = new THREE.Raycaster();
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
-  constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
+  constructor(readonly control: Control, readonly workbench: Workbench, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
     this.root.id = "paint";
     this.root.innerHTML = `<summary>Paint</summary>
       <button id="paint-on" aria-pressed="false" aria-keyshortcuts="m" title="Key M">Paint with the pointer</button>
@@ -88,12 +88,12 @@ export class Paint {
     this.#on = on;
     if (on) this.root.open = true;
     this.#find("#paint-on").setAttribute("aria-pressed", String(on));
-    const { controls } = this.stage;
+    const { controls } = this.workbench;
     controls.mouseButtons = { LEFT: on ? null : THREE.MOUSE.ROTATE, MIDDLE: THREE.MOUSE.DOLLY, RIGHT: on ? THREE.MOUSE.ROTATE : THREE.MOUSE.PAN };
     controls.touches = { ONE: on ? null : THREE.TOUCH.ROTATE, TWO: on ? THREE.TOUCH.DOLLY_ROTATE : THREE.TOUCH.DOLLY_PAN };
-    this.stage.canvas.style.cursor = on ? "crosshair" : "";
+    this.workbench.canvas.style.cursor = on ? "crosshair" : "";
     this.update();
-    this.stage.wake();
+    this.workbench.wake();
   }
 
   /** The regions file. */
@@ -128,7 +128,7 @@ export class Paint {
 
   /** Where a point of the car, m in its frame, is on the page; for tests. */
   screen(point: Vec3): { x: number; y: number } {
-    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
+    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.workbench.camera), box = this.workbench.canvas.getBoundingClientRect();
     return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
   }
 
@@ -149,7 +149,7 @@ export class Paint {
   // ---- the pointer ----
 
   #listen(): void {
-    const { canvas } = this.stage;
+    const { canvas } = this.workbench;
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.#on) return;
       this.#pointers.add(event.pointerId);
@@ -186,9 +186,9 @@ export class Paint {
 
   #hit({ clientX, clientY }: { clientX: number; clientY: number }): THREE.Vector3 | null {
     if (!this.#mesh) return null;
-    const box = this.stage.canvas.getBoundingClientRect();
+    const box = this.workbench.canvas.getBoundingClientRect();
     const at = new THREE.Vector2((2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height);
-    this.#ray.setFromCamera(at, this.stage.camera);
+    this.#ray.setFromCamera(at, this.workbench.camera);
     const [hit] = this.#ray.intersectObject(this.#mesh, false);
     return hit ? this.#mesh.worldToLocal(hit.point.clone()) : null;
   }
@@ -197,7 +197,7 @@ export class Paint {
     this.#tip.visible = at !== null;
     if (at) this.#tip.position.copy(at);
     this.#tip.scale.setScalar(this.#radius);
-    this.stage.wake();
+    this.workbench.wake();
   }
 
   get #radius(): number {
@@ -225,7 +225,7 @@ export class Paint {
   #dabInTheMiddle(): void {
     if (!this.#on) this.toggle(true);
     // of what the panel leaves free: there the camera looks
-    const { camera, controls } = this.stage, at = controls.target.clone().project(camera), box = this.stage.canvas.getBoundingClientRect();
+    const { camera, controls } = this.workbench, at = controls.target.clone().project(camera), box = this.workbench.canvas.getBoundingClientRect();
     const point = this.#hit({ clientX: box.left + ((at.x + 1) / 2) * box.width, clientY: box.top + ((1 - at.y) / 2) * box.height });
     if (!point) return this.tell("the middle of the view is not on the car", true);
     this.#stroke = [];
@@ -289,7 +289,7 @@ export class Paint {
     this.#find("#paint-names").replaceChildren(...[...new Set(entries.map(({ name }) => name))].map((name) => new Option(name)));
     this.#find<HTMLButtonElement>("#paint-undo").disabled = !this.#past.length;
     this.#find<HTMLButtonElement>("#paint-redo").disabled = !this.#future.length;
-    this.stage.wake();
+    this.workbench.wake();
   }
 
   // Where entries went, by those before them; then those that came, over it.

@@ -1,10 +1,10 @@
 // Two scenes beside each other: two recordings on one clock, or the live scene and a recording. What differs is the distance between
 // the two places of a vertex, each in its own car's frame: so it is about shape, wherever the cars stand.
 import * as THREE from "three";
-import type { BakedCar } from "./baked.js";
-import type { Film } from "./film.js";
-import type { LiveCar } from "./scene.js";
-import type { CarMesh } from "./three.js";
+import type { BakedCar } from "../baked.js";
+import type { Film } from "../film.js";
+import type { LiveCar } from "../scene.js";
+import type { CarMesh } from "../three.js";
 
 export interface Clock {
   /** s */

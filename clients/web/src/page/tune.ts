@@ -1,7 +1,7 @@
 // Sliders for every parameter of a car and its regions, applied while they are moved. Names, ranges, units and defaults are the
 // server's. What a car has been told by others the server does not tell: shown is what this page has set, else the default.
-import type { Changes, Control, Parameter } from "./control.js";
-import { download, pick, sentence, type Shown } from "./tools.js";
+import type { Changes, Control, Parameter } from "../control.js";
+import { download, pick, sentence, type Shown } from "./workbench.js";
 
 /** ms without a change until it is sent. */
 const pause = 150;
