@@ -143,7 +143,7 @@ typedef struct CrumpleCarPose {
   float importance;           // in (0, 1]: how much it matters now, which chooses its level; 0: 1
 } CrumpleCarPose;
 // All cars of this host in one message; sequence numbers are the session's own. time: the host's clock, s.
-int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose*, size_t count);
+int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose* cars, size_t count);
 
 enum CrumpleShape { CRUMPLE_BOX, CRUMPLE_SPHERE, CRUMPLE_CAPSULE, CRUMPLE_HALF_SPACE, CRUMPLE_HULL };
 
@@ -158,7 +158,7 @@ typedef struct CrumpleObstacle {
   float friction;                          // Coulomb
 } CrumpleObstacle;
 // The whole list of this host; replaces the one before.
-int crumple_publish_obstacles(Crumple*, const CrumpleObstacle*, size_t count);
+int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
 typedef struct CrumpleReaction {
   const char* car;
