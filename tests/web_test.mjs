@@ -467,6 +467,23 @@ function whereDrawn() {
   });
 }
 
+// In the page: a seek backwards makes the cars anew. Which of the pair have colours in the very first picture of them.
+function colouredAtFirst() {
+  const { renderer, comparison } = window.crumple, { render } = renderer, [{ meshes: [before] }] = comparison().pairs;
+  return new Promise((done) => {
+    renderer.render = (scene, camera) => {
+      render.call(renderer, scene, camera);
+      const meshes = comparison().pairs[0]?.meshes;
+      if (!meshes || meshes[0] === before) return;
+      renderer.render = render;
+      done(meshes.map(({ material }) => material.vertexColors));
+    };
+    const scrub = document.querySelector("#scrub");
+    scrub.value = `${scrub.value / 2}`;
+    scrub.dispatchEvent(new Event("input"));
+  });
+}
+
 async function comparison(path) {
   const folder = mkdtempSync(`${tmpdir()}/crumple_compare_`);
   const recordings = ["built_in_pole", "built_in_roof_drop"].map((name) => resolve(here, `../recordings/${name}.mcap`));
@@ -494,6 +511,7 @@ async function comparison(path) {
   assert.equal(`${difference.quantity} ${difference.unit}`, "Difference mm");
   for (const drawn of await opened.evaluate(colours)) checkColours(difference, lengths, drawn);
   assert.deepEqual(await opened.evaluate(whereDrawn), [{ cars: [0], left: true }, { cars: [1], left: false }]);
+  assert.deepEqual(await opened.evaluate(colouredAtFirst), [true, true], "where frames take long, that picture stays");
 
   // Strain, of each of them by itself.
   await opened.keyboard.press("c");

@@ -32,11 +32,12 @@ function frame(state: State, now: number): void {
   state.drawnAt = now;
   if (state.detail.count(now)) applyDetail(state);
   for (const stage of stages) {
-    stage.updateCars(state.heatOf, state.comparison);
+    stage.updateCars();
     if (stage.cars.size) state.hadCars = true;
     if (stage.obstacles.update(stage.source())) state.wake();
   }
   state.comparison?.update(first.cars, second.cars, state.heatOf === "dent" ? heat : null);
+  for (const stage of stages) stage.paintCars(state.heatOf, state.comparison);
   state.tools?.update();
   scene.updateMatrixWorld();
   if (updateView(state, seconds)) state.wake();
@@ -81,7 +82,8 @@ export function picture(state: State): string {
   renderer.setPixelRatio(1);
   renderer.setSize(320, 180, false);
   const [item] = first.cars.values();
-  item.update(Infinity, state.heatOf, state.comparison);
+  item.update(Infinity);
+  item.paint(state.heatOf, state.comparison);
   scene.updateMatrixWorld();
   drawing.look(item.center(), 0.7 * item.radius, 1);
   drawing.light();

@@ -45,7 +45,7 @@ export class ShownCar {
   }
 
   /** now: ms, by the scene's clock. */
-  update(now: number, heatOf: Quantity | null, comparison: Comparison | null): void {
+  update(now: number): void {
     const { car } = this;
     if (car.baked && this.mesh?.baked !== car.baked) {
       this.#undress();
@@ -58,14 +58,16 @@ export class ShownCar {
     }
     if (!this.mesh) return;
     if (this.#version !== car.version && this.mesh.update(car.surface)) this.#version = car.version;
-    this.#paint(this.mesh, heatOf, comparison);
     // A car of which no pose was told stands at the origin: it was spawned there more often than anywhere else.
     if (car.pose) place(this.group, car.pose);
     this.group.visible = true;
     this.#point(now);
   }
 
-  #paint(mesh: CarMesh, heatOf: Quantity | null, comparison: Comparison | null): void {
+  /** In its own colour, or by what colours show. In a comparison, once that has found what differs. */
+  paint(heatOf: Quantity | null, comparison: Comparison | null): void {
+    const { mesh } = this;
+    if (!mesh) return;
     const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOf === "strain" || (heatOf === "dent" && (!comparison || comparison.has(this)));
     if (material.vertexColors !== heated) {
       material.vertexColors = heated;

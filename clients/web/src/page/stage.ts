@@ -20,7 +20,7 @@ export class Stage {
   /** choose: what a click on a car's row in the panel does; null: the cars of this stage have none. */
   constructor(readonly source: () => Scene, readonly choose: ((id: string) => void) | null) {}
 
-  updateCars(heatOf: Quantity | null, comparison: Comparison | null): void {
+  updateCars(): void {
     const source = this.source();
     for (const [id, item] of this.cars)
       if (source.cars.get(id) !== item.car) {
@@ -29,8 +29,12 @@ export class Stage {
       }
     for (const [id, car] of source.cars) {
       if (!this.cars.has(id)) this.#add(new ShownCar(car, this.#freePaint(), this.source));
-      this.cars.get(id)!.update(source.now(), heatOf, comparison);
+      this.cars.get(id)!.update(source.now());
     }
+  }
+
+  paintCars(heatOf: Quantity | null, comparison: Comparison | null): void {
+    for (const item of this.cars.values()) item.paint(heatOf, comparison);
   }
 
   #add(item: ShownCar): void {
