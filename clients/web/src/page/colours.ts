@@ -1,9 +1,9 @@
-// Colours that show a number of each vertex, and what they may show.
+// The colours that show a number of each vertex, and the quantities that they may show.
 import * as THREE from "three";
 
-/** Lightness falls all the way, so that they are read in any colour vision. */
+/** The lightness falls all the way, so that everybody can read them, colour-blind or not. */
 export const heat = ["#f1efe9", "#fac228", "#f57d15", "#d44842", "#9f2a63", "#65156e", "#280b53"].map((colour) => new THREE.Color(colour));
 
-/** What colours may show of a car, and which value has the last of them. In a comparison the difference stands in place of the dent. */
+/** A quantity that colours may show, and the value that has the last colour. In a comparison the difference takes the place of the dent. */
 export type Quantity = "dent" | "strain";
 export const heatMost: Record<Quantity, number> = { dent: 0.5, strain: 0.5 }; // m, 1

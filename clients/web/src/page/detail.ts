@@ -1,21 +1,21 @@
-// How much is drawn. Without a graphics card a frame may take seconds.
+// Decides how much the page draws. Without a graphics card a frame may take seconds.
 
-/** From all to what a processor can draw, with what is said of it; pixels: a side, as a share. */
+/** From everything down to what a processor can draw, and what the page says about it. pixels: share of the pixels of a side. */
 const details = [
   { shadows: true, pixels: 1, says: "" },
   { shadows: false, pixels: 0.7, says: ", drawn without shadows" },
   { shadows: false, pixels: 0.4, says: ", drawn coarsely" },
 ];
-const slowest = 40; // ms a frame, as a mean of
+const slowest = 40; // ms, mean of the frames of
 const enough = 1000; // ms
 
 export class Detail {
-  /** The user wants all, however slow. */
+  /** The user wants everything, however slow it is. */
   inFull = false;
   #level = 0;
   #frames = 0;
   #since = 0; // ms
-  #slow = 0; // means in a row
+  #slow = 0; // how many means in a row were too slow
 
   get shadows(): boolean {
     return details[this.#level].shadows;
@@ -33,8 +33,8 @@ export class Detail {
   }
 
   /**
-   * Counts a frame. True: from now on less is drawn. The mean over a while counts: a browser takes some frames at once, then none for
-   * long. Twice in a row, since once may be a file that was read.
+   * Counts a frame. True: the page shall draw less from now on. It decides by the mean over a while, because a browser takes some
+   * frames at once, and then none for long; and only if two means in a row are too slow, because one may come of reading a file.
    */
   count(now: number): boolean {
     ++this.#frames;
@@ -46,7 +46,7 @@ export class Detail {
     return true;
   }
 
-  /** Begins to count anew: nothing was drawn before. */
+  /** Begins to count anew, because the page drew nothing until now. */
   start(now: number): void {
     this.#frames = 0;
     this.#since = now;

@@ -1,10 +1,10 @@
-// What every picture is drawn with: three's renderer, the light, the ground, the camera and what turns it.
+// Has what the page needs for every picture: three's renderer, the light, the ground, the camera and what turns it.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 
 const horizon = new THREE.Color("#dfe4e8");
-const sight = 110; // m: fog hides what is farther, so it is not drawn
+const sight = 110; // m: fog hides everything beyond, so the camera leaves it out
 const sunFrom = new THREE.Vector3(-9, -12, 18);
 const upright = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 0, 1), new THREE.Vector3(0, 1, 0));
 
@@ -25,7 +25,7 @@ export class Drawing {
     this.scene.add(this.sun, this.sun.target, makeGround());
   }
 
-  /** The sun goes along with what the camera looks at. */
+  /** Moves the sun along with what the camera looks at. */
   light(): void {
     const { sun, controls } = this;
     sun.target.position.copy(controls.target);
@@ -34,7 +34,7 @@ export class Drawing {
     sun.updateMatrixWorld();
   }
 
-  /** From ahead, the right and above, so that the sphere takes no more than this share of the height. */
+  /** Looks from ahead, the right and above, so that the sphere takes no more than this share of the height. */
   look(center: THREE.Vector3, radius: number, share: number): void {
     const { camera, controls } = this, distance = (1.18 * radius) / Math.tan((camera.fov * Math.PI) / 360) / share;
     controls.target.copy(center);
@@ -43,7 +43,7 @@ export class Drawing {
     camera.updateMatrixWorld();
   }
 
-  /** rad, rad, and a factor of the distance */
+  /** Turns the camera by azimuth and polar, rad, and multiplies its distance by nearer. */
   turn(azimuth: number, polar: number, nearer: number): void {
     const { camera, controls } = this, away = camera.position.clone().sub(controls.target).applyQuaternion(upright);
     const spherical = new THREE.Spherical().setFromVector3(away);
@@ -77,7 +77,7 @@ function makeControls(camera: THREE.Camera, canvas: HTMLCanvasElement): OrbitCon
   const controls = new OrbitControls(camera, canvas);
   controls.enableDamping = true;
   controls.dampingFactor = 0.12;
-  controls.maxPolarAngle = 0.495 * Math.PI; // stays above the ground
+  controls.maxPolarAngle = 0.495 * Math.PI; // the camera stays above the ground
   controls.minDistance = 2;
   controls.maxDistance = 90;
   return controls;
@@ -99,7 +99,7 @@ function makeGround(): THREE.Mesh {
   return ground;
 }
 
-/** A line every metre. As lines they would be jagged far away, and some drivers leave out those that end behind the eye. */
+/** Makes a line every metre. As lines of three.js they would be jagged far away, and some drivers omit lines that end behind the eye. */
 function squares(metres: number): THREE.Texture {
   const tile = document.createElement("canvas"), pen = tile.getContext("2d")!;
   tile.width = tile.height = 128;

@@ -1,4 +1,4 @@
-// The loop: brings up to date what is shown, and draws it, only while something changes.
+// The loop brings up to date what the page shows, and draws it, but only while something changes.
 import { heat } from "./colours.js";
 import type { Rectangle } from "./compare.js";
 import { updatePanel } from "./panel.js";
@@ -6,10 +6,10 @@ import { play } from "./player.js";
 import type { State } from "./state.js";
 import { applyDetail, resize, updateLabels, updateView } from "./view.js";
 
-const panelPeriod = 250; // ms: text that changes faster is not read
+const panelPeriod = 250; // ms: nobody can read text that changes faster
 
 export function startLoop(state: State): void {
-  document.addEventListener("visibilitychange", () => state.detail.start(performance.now())); // hidden it draws nothing
+  document.addEventListener("visibilitychange", () => state.detail.start(performance.now())); // a hidden page draws nothing
   const next = (now: number) => {
     requestAnimationFrame(next);
     frame(state, now);
@@ -50,7 +50,7 @@ function frame(state: State, now: number): void {
   drawing.renderer.render(scene, camera);
 }
 
-// One camera for both: what each is about is seen from the same side and as far away, wherever it is.
+// One camera draws both parts: it sees the subject of each from the same side and from as far away, wherever the subject is.
 function drawPart(state: State, part: Rectangle, i: number): void {
   const { drawing, stages, first } = state, { renderer, scene, camera, controls } = drawing;
   const stage = stages[i], { position } = camera, at = position.clone(), target = controls.target.clone();
@@ -60,7 +60,7 @@ function drawPart(state: State, part: Rectangle, i: number): void {
   stage.seeThrough(position);
   updateLabels(state, stage, part);
   for (const { group } of stages) group.visible = group === stage.group;
-  const place = [part.left, innerHeight - part.top - part.height, part.width, part.height] as const; // three counts from the bottom
+  const place = [part.left, innerHeight - part.top - part.height, part.width, part.height] as const; // three.js counts from the bottom
   renderer.setViewport(...place);
   renderer.setScissor(...place);
   renderer.setScissorTest(true);
@@ -71,7 +71,7 @@ function drawPart(state: State, part: Rectangle, i: number): void {
   controls.target.copy(target);
 }
 
-/** A small PNG, base64: the first car from where a page begins to look at it. */
+/** Gives a small PNG, base64: the first car from where a page begins to look at it. */
 export function picture(state: State): string {
   const { drawing, detail, first } = state, { canvas, renderer, scene, camera } = drawing;
   detail.become(0);

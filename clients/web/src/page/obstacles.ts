@@ -47,7 +47,7 @@ export class ShownObstacles {
     return moving;
   }
 
-  /** An obstacle between the eye and one of these points is seen through. */
+  /** Makes obstacles between the eye and one of these points transparent. */
   seeThrough(eye: THREE.Vector3, points: THREE.Vector3[]): void {
     const meshes = [...this.#hosts.values()].flatMap(({ group }) => group.children).filter((object) => object instanceof THREE.Mesh);
     for (const mesh of meshes) mesh.material = mesh.userData.solid;

@@ -1,4 +1,4 @@
-// What the page says: how the line is, of each car, of the server, and what colours mean.
+// Says how the line is, what is known of each car and of the server, and what colours mean.
 import { heat, heatMost, type Quantity } from "./colours.js";
 import { element } from "./element.js";
 import type { State } from "./state.js";

@@ -1,4 +1,4 @@
-// Recordings in place of the scene or beside it: opened, chosen, played and put to any moment.
+// Opens recordings, shows them in place of the scene or beside it, and plays them from any moment.
 import { Film } from "../film.js";
 import { BothClocks, Comparison, type Clock } from "./compare.js";
 import { element } from "./element.js";
@@ -6,7 +6,7 @@ import { colour } from "./panel.js";
 import type { Opened, State } from "./state.js";
 import { resize } from "./view.js";
 
-/** Recordings, the first in place of the scene; or one, and beside it the scene as it is now. */
+/** Shows recordings, the first in place of the scene; or one recording, and the scene as it is now beside it. */
 function show(state: State, opened: Opened[], withScene = false): void {
   const [one, two] = withScene ? [null, ...opened] : opened;
   state.opened = opened;
@@ -53,7 +53,7 @@ function choose(state: State, before: Opened, next: Opened): void {
   choice.showModal();
 }
 
-/** These seconds have passed. At the end it stands. */
+/** Plays so many seconds more, and stops at the end. */
 export function play(state: State, clock: Clock, seconds: number): void {
   const scrub = element<HTMLInputElement>("scrub"), label = element("play");
   if (state.playing) clock.seek(clock.time + seconds * Number(element<HTMLSelectElement>("speed").value));
@@ -70,7 +70,7 @@ export function startPlayer(state: State): void {
   state.press("open", () => file.click());
   file.onchange = () => {
     void open(state, [...file.files!]);
-    file.value = ""; // so that the same one can be chosen again
+    file.value = ""; // so that the user can choose the same file again
   };
   state.press("close", () => show(state, []));
   state.press("play", () => {
@@ -87,7 +87,7 @@ export function startPlayer(state: State): void {
     event.preventDefault();
     void open(state, event.dataTransfer?.files ?? []);
   });
-  // Those that `crumple view A.mcap B.mcap` hands out.
+  // Opens the recordings of `crumple view A.mcap B.mcap`.
   void open(state, new URLSearchParams(location.search).getAll("recording").map((name, i) => ({
     name, arrayBuffer: async () => (await fetch(new URL(`recording/${i}`, location.href))).arrayBuffer(),
   })));

@@ -16,7 +16,7 @@ export class ShownCar {
   readonly row = document.createElement("button");
   mesh: CarMesh | null = null;
   #version = -1;
-  #painted = ""; // what, and of which version
+  #painted = ""; // the quantity that its vertices show, and the version of the surface
   #extent = new THREE.Box3();
 
   /** source: the scene that the car is in. */
@@ -58,13 +58,13 @@ export class ShownCar {
     }
     if (!this.mesh) return;
     if (this.#version !== car.version && this.mesh.update(car.surface)) this.#version = car.version;
-    // A car of which no pose was told stands at the origin: it was spawned there more often than anywhere else.
+    // While no pose has come, the car stands at the origin: cars are spawned there more often than anywhere else.
     if (car.pose) place(this.group, car.pose);
     this.group.visible = true;
     this.#point(now);
   }
 
-  /** In its own colour, or by what colours show. In a comparison, once that has found what differs. */
+  /** Gives the car its own colour, or colours by a quantity. In a comparison, call it after that has found the differences. */
   paint(heatOf: Quantity | null, comparison: Comparison | null): void {
     const { mesh } = this;
     if (!mesh) return;
@@ -82,7 +82,7 @@ export class ShownCar {
     if (heatOf === "strain") mesh.paint(heat, heatMost.strain, mesh.strain());
   }
 
-  // The greatest impulse of the last hit, as the deceleration that it was: 4 cm for each g.
+  // The arrow shows the greatest impulse of the last hit as a deceleration: 4 cm for each g.
   #point(now: number): void {
     const { peak, peakAt } = this.car, fade = peak ? 1 - (now - peakAt) / arrowStays : 0;
     this.arrow.visible = fade > 0;
@@ -95,7 +95,7 @@ export class ShownCar {
     stretch(this.arrow, length, Math.min(1, 2 * fade));
   }
 
-  /** In the tick of the greatest impulse of the last hit, in g. */
+  /** In the tick of the greatest impulse of the last hit, g. */
   get deceleration(): number {
     const { peak, baked } = this.car, rate = this.source().health?.rate || 60;
     return peak && baked ? (Math.hypot(...peak.impulse) * rate) / baked.mass / gravity : 0;
@@ -126,5 +126,5 @@ function stretch(arrow: THREE.Group, length: number, opacity: number): void {
   const [shaft, head] = arrow.children as THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>[];
   shaft.scale.z = length - 0.36;
   head.position.z = length;
-  shaft.material.opacity = opacity; // both have this one
+  shaft.material.opacity = opacity; // the head has the same material
 }

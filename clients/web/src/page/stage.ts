@@ -1,4 +1,4 @@
-// What one view shows of its scene: the cars and the obstacles in it.
+// Has what one view shows of its scene: cars and obstacles.
 import * as THREE from "three";
 import type { Scene } from "../scene.js";
 import type { Quantity } from "./colours.js";
@@ -7,7 +7,7 @@ import { element } from "./element.js";
 import { ShownObstacles } from "./obstacles.js";
 import { ShownCar } from "./shown.js";
 
-// Okabe and Ito's colours: told apart by the colour-blind too. Names say it as well.
+// Okabe and Ito's colours, which the colour-blind can tell apart too. Labels have the names as well.
 const paints = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"];
 
 export class Stage {
@@ -17,7 +17,7 @@ export class Stage {
   /** What the view is about; null: nothing yet. */
   about: { center: THREE.Vector3; radius: number } | null = null;
 
-  /** choose: what a click on a car's row in the panel does; null: the cars of this stage have none. */
+  /** choose: what a click on a car's row in the panel does; null: the cars of this stage have no rows. */
   constructor(readonly source: () => Scene, readonly choose: ((id: string) => void) | null) {}
 
   updateCars(): void {
@@ -47,13 +47,13 @@ export class Stage {
     element("cars").append(item.row);
   }
 
-  // The first that no car has, or that the fewest have.
+  // Gives the first colour that no car has, or that the fewest cars have.
   #freePaint(): string {
     const uses = (paint: string) => [...this.cars.values()].filter(({ colour }) => colour === paint).length;
     return paints.reduce((best, paint) => (uses(paint) < uses(best) ? paint : best));
   }
 
-  /** An obstacle between the eye and a car is seen through. */
+  /** Makes obstacles between the eye and a car transparent. */
   seeThrough(eye: THREE.Vector3): void {
     this.obstacles.seeThrough(eye, [...this.cars.values()].filter(({ mesh }) => mesh).map((item) => item.center()));
   }

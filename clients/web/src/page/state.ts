@@ -1,4 +1,4 @@
-// All that the page remembers, in one value, which its parts hand over to each other: none of them has variables of its own.
+// Has all that the page remembers, in one value. The parts of the page hand it over to each other and have no variables of their own.
 import type { Film } from "../film.js";
 import type { Live } from "../live.js";
 import { Scene } from "../scene.js";
@@ -19,26 +19,26 @@ export interface Opened {
 const staysAwake = 700; // ms: as long as damping and arrows go on by themselves
 
 export class State {
-  // What is shown.
+  // What the page shows.
   source: Scene; // the live scene or a recording
   readonly empty = new Scene();
   beside = this.empty; // the scene of the second view
   readonly first = new Stage(() => this.source, (id) => this.follow(id));
   readonly second = new Stage(() => this.beside, null);
   readonly stages = [this.first, this.second];
-  comparison: Comparison | null = null; // of the two
+  comparison: Comparison | null = null; // of these two
   heatOf: Quantity | null = null;
   hadCars = false;
 
   // Recordings.
   opened: Opened[] = [];
-  clock: Clock | null = null; // of the recordings that are shown
+  clock: Clock | null = null; // of the recordings that the page shows
   playing = false;
 
   // The view.
-  followed = ""; // a car's id; "": what moves
-  framed = false; // the first car was put in the middle
-  views: Rectangle[] | null = null; // while there are two
+  followed = ""; // a car's id; "": the cars that move
+  framed = false; // the camera has been put before the car
+  views: Rectangle[] | null = null; // while the page shows two
   readonly detail = new Detail();
 
   // The loop.
@@ -46,7 +46,7 @@ export class State {
   calledAt = 0;
   drawnAt = 0;
   panelAt = 0;
-  version = -1; // of both scenes, when it was looked at last
+  version = -1; // of both scenes together, in the last frame
 
   tools: Tools | null = null;
 
@@ -59,7 +59,7 @@ export class State {
     return this.opened[0]?.film ?? null;
   }
 
-  /** Pictures are drawn again for a while. */
+  /** Makes the loop draw for a while. */
   wake(): void {
     this.awakeUntil = performance.now() + staysAwake;
   }
@@ -70,7 +70,7 @@ export class State {
     this.wake();
   }
 
-  /** What a button does. */
+  /** Says what a button does. */
   press(id: string, action: () => void): void {
     element(id).onclick = () => {
       action();

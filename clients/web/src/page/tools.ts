@@ -1,16 +1,16 @@
-// The panel's tools where the gateway takes commands: tune and paint, for one car of the scene.
+// The tools of the panel, if the gateway takes commands: tune and paint, for one car of the scene.
 import { Control } from "../control.js";
 import { Paint } from "./paint.js";
 import { Tune } from "./tune.js";
 import type { Workbench } from "./workbench.js";
 
 export interface Tools {
-  /** With every picture. */
+  /** The page calls this with every picture. */
   update(): void;
   paint: Paint;
 }
 
-/** null: this gateway only shows. */
+/** null: this gateway takes no commands. */
 export async function startTools(root: HTMLElement, workbench: Workbench): Promise<Tools | null> {
   const control = await Control.find(location.href);
   if (!control) return null;

@@ -1,4 +1,5 @@
-// What part of the scene is seen, and where in the window: the camera goes along with cars, beside the panel, in one view or two.
+// Decides what part of the scene the page shows, and where in the window. The camera goes along with cars; the views, one or two, lie
+// beside the panel.
 import * as THREE from "three";
 import { halves, type Rectangle } from "./compare.js";
 import { element } from "./element.js";
@@ -6,7 +7,7 @@ import type { ShownCar } from "./shown.js";
 import type { Stage } from "./stage.js";
 import type { State } from "./state.js";
 
-/** What the view is about: its middle, and the radius of what should be seen; null: nothing new. */
+/** Finds what the view is about: its middle, and the radius of what it should show; null: nothing new. */
 function subject({ followed, framed }: State, stage: Stage): Stage["about"] {
   const all = [...stage.cars.values()].filter((item) => item.mesh), now = stage.source().now();
   const moving = ({ car }: ShownCar) => Math.hypot(...car.velocity) > 0.3 || now - car.hitAt < 3000;
@@ -19,10 +20,10 @@ function subject({ followed, framed }: State, stage: Stage): Stage["about"] {
   return { center: sphere.center, radius: sphere.radius };
 }
 
-/** Goes along with the subject: turning and nearing stay the user's. True: the view has moved. */
+/** Moves the camera along with the subject; the user alone turns it and brings it nearer. True: the view has moved. */
 export function updateView(state: State, seconds: number): boolean {
   const { drawing, stages, first, views } = state, { camera, controls } = drawing;
-  for (const stage of stages) stage.about = subject(state, stage) ?? stage.about; // also when it stands before the view has come there
+  for (const stage of stages) stage.about = subject(state, stage) ?? stage.about; // a car may stand before the view has come there
   const { about } = first;
   if (!about) return false;
   const step = about.center.clone().sub(controls.target);
@@ -33,13 +34,13 @@ export function updateView(state: State, seconds: number): boolean {
     return true;
   }
   if (step.length() < 0.002) return false;
-  if (step.length() < 8) step.multiplyScalar(1 - Math.exp(-6 * seconds)); // farther: it was put there
+  if (step.length() < 8) step.multiplyScalar(1 - Math.exp(-6 * seconds)); // a subject that is farther away has been put there
   controls.target.add(step);
   camera.position.add(step);
   return true;
 }
 
-/** The part of the window that the panel leaves. */
+/** Gives the part of the window that the panel leaves free. */
 function free({ comparison }: State): Rectangle {
   const panel = element("panel").getBoundingClientRect();
   if (innerWidth > 720) return { left: 0, top: 0, width: panel.left, height: innerHeight };
@@ -52,7 +53,7 @@ export function resize(state: State): void {
   renderer.setSize(innerWidth, innerHeight, false);
   state.views = comparison && showNames(comparison.names, halves(free(state)));
   camera.aspect = state.views ? state.views[0].width / state.views[0].height : innerWidth / innerHeight;
-  // The middle of the picture is the middle of what is free.
+  // The middle of the picture lies in the middle of the free part.
   if (state.views) camera.clearViewOffset();
   else camera.setViewOffset(innerWidth, innerHeight, (innerWidth - width) / 2, (innerHeight - height) / 2, innerWidth, innerHeight);
   camera.updateProjectionMatrix();

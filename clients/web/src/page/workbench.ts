@@ -22,7 +22,7 @@ export interface Workbench {
   wake(): void;
 }
 
-/** Bytes or text as a file of the user's. */
+/** Gives bytes or text to the user as a file. */
 export function download(name: string, data: BlobPart, type: string): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([data], { type }));
@@ -31,7 +31,7 @@ export function download(name: string, data: BlobPart, type: string): void {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** Asks for a file and gives its text. */
+/** Asks the user for a file and gives its text. */
 export function pick(input: HTMLInputElement, take: (text: string, name: string) => void): void {
   input.onchange = async () => {
     const [file] = input.files ?? [];
