@@ -1,12 +1,13 @@
 // The thesis's initialization (6.3.2), in its parts: the files read, the constraints generated, the surface mapped onto the
 // tets, and all of it replaced by loading a baked file. Serial and parallel are the same functions in arenas of other sizes.
-#include "asset/bake.h"
+#include "bake/bake.h"
 
 #include <fstream>
 
-#include "asset/build_constraints.h"
-#include "asset/build_skin.h"
-#include "asset/script.h"
+#include "bake/build_constraints.h"
+#include "bake/load_car.h"
+#include "bake/script.h"
+#include "car/build_skin.h"
 #include "rooms.h"
 
 namespace crumple {

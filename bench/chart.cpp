@@ -22,8 +22,9 @@
 #include <stdexcept>
 #include <thread>
 
-#include "asset/car.h"
+#include "bake/load_car.h"
 #include "baselines.h"
+#include "car/car.h"
 #include "machine.h"
 #include "rooms.h"
 #include "sim/deform.h"

@@ -14,9 +14,10 @@
 #include <fstream>
 #include <limits>
 
-#include "asset/car.h"
-#include "cpp/surface.h"
+#include "bake/load_car.h"
+#include "car/car.h"
 #include "sim/deform.h"
+#include "viewer/surface.h"
 #include "wire/surface.h"
 
 namespace {

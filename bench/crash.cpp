@@ -9,7 +9,8 @@
 #include <exception>
 #include <limits>
 
-#include "asset/car.h"
+#include "bake/load_car.h"
+#include "car/car.h"
 #include "sim/deform.h"
 
 namespace {

@@ -2,7 +2,7 @@
 
 #include <limits>
 
-#include "asset/make_blocks.h"
+#include "car/make_blocks.h"
 
 namespace crumple {
 

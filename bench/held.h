@@ -6,7 +6,7 @@
 #include <memory>
 #include <vector>
 
-#include "asset/build_constraints.h"
+#include "bake/build_constraints.h"
 #include "sim/deform.h"
 
 namespace crumple {

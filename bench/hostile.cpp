@@ -3,7 +3,7 @@
 #include <cstdio>
 #include <stdexcept>
 
-#include "asset/build_constraints.h"
+#include "bake/build_constraints.h"
 #include "schema/car_generated.h"
 
 namespace crumple {

@@ -13,8 +13,8 @@
 #include <string>
 #include <vector>
 
-#include "asset/car.h"
 #include "baselines.h"
+#include "car/car.h"
 #include "sim/deform.h"
 
 namespace crumple {

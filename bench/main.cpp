@@ -2,6 +2,7 @@
 #include <cstdio>
 #include <exception>
 
+#include "bake/load_car.h"
 #include "rooms.h"
 
 int main(int argc, char** argv) {

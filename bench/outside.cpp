@@ -15,7 +15,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "asset/make_tets.h"
+#include "bake/make_tets.h"
 #include "bar.h"
 #include "machine.h"
 

@@ -16,7 +16,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "asset/order_spatially.h"
+#include "bake/order_spatially.h"
 #include "held.h"
 #include "sim/scratch.h"
 

@@ -10,11 +10,12 @@
 
 #include <algorithm>
 #include <chrono>
+#include <filesystem>
 #include <functional>
 #include <string>
 #include <thread>
 
-#include "asset/car.h"
+#include "car/car.h"
 
 namespace crumple {
 

@@ -21,11 +21,12 @@
 #include <limits>
 #include <stdexcept>
 
-#include "asset/map_level.h"
+#include "bake/load_car.h"
+#include "car/map_level.h"
 #include "machine.h"
 #include "rooms.h"
 #include "sim/nodal.h"
-#include "state.h"
+#include "tick/state.h"
 
 namespace {
 
@@ -128,11 +129,11 @@ Play play_once(const std::shared_ptr<const Car>& asset, const Scene& scene, int 
   tick(*world, {}, outbox, threads);  // keyframes
   double solved = 0, asked = 0, shed = 0;
   for (int k = 1; k < ticks; ++k) {
-    const double seconds = seconds_of([&] { tick(*world, {}, outbox, threads); });
+    Work done;
+    const double seconds = seconds_of([&] { done = tick(*world, {}, outbox, threads).work; });
     size_t hit = 0;
     for (const auto& [id, car] : world->cars) hit += scene.speed == 0 || car.touched_tick == world->tick;
     if (hit == 0) continue;
-    const Work done = work(*world);
     solved += double(hit);
     play.seconds += seconds;
     play.work += double(done.done);
@@ -276,7 +277,7 @@ void measure_hit(const Cars& levels, const Scene& scene, int threads, Table& tab
       one.substeps = substeps;
       table.add(row_of(one, *car, threads, play(car, one, threads), exact));
       one.tolerance = 0;
-      for (int sweeps : {4, 6, 8}) {  // what a budget may leave (server/budget.cpp)
+      for (int sweeps : {4, 6, 8}) {  // what a budget may leave (server/tick/budget.cpp)
         one.sweeps = sweeps;
         table.add(row_of(one, *car, threads, play(car, one, threads), exact));
       }

@@ -14,7 +14,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "asset/car.h"
+#include "bake/load_car.h"
+#include "car/car.h"
 #include "reference.h"
 #include "sim/deform.h"
 

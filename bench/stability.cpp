@@ -15,7 +15,8 @@
 #include <cstdio>
 #include <stdexcept>
 
-#include "asset/build_constraints.h"
+#include "bake/build_constraints.h"
+#include "bake/load_car.h"
 #include "hostile.h"
 
 namespace {

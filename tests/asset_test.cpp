@@ -13,14 +13,14 @@
 #include <map>
 #include <set>
 
-#include "asset/bake.h"
-#include "asset/build_constraints.h"
-#include "asset/build_skin.h"
-#include "asset/built_in.h"
-#include "asset/import_surface.h"
-#include "asset/order_spatially.h"
-#include "asset/paint_regions.h"
+#include "bake/bake.h"
+#include "bake/build_constraints.h"
+#include "bake/built_in.h"
+#include "bake/import_surface.h"
+#include "bake/order_spatially.h"
+#include "bake/paint_regions.h"
 #include "box_car.h"
+#include "car/build_skin.h"
 #include "refusal.h"
 
 namespace crumple {

@@ -5,9 +5,9 @@
 #include <memory>
 #include <vector>
 
-#include "asset/build_constraints.h"
-#include "asset/build_skin.h"
-#include "asset/car.h"
+#include "bake/build_constraints.h"
+#include "car/build_skin.h"
+#include "car/car.h"
 #include "schema/car_generated.h"
 
 namespace crumple {

@@ -6,7 +6,7 @@
 
 #include "box_car.h"
 #include "host.h"
-#include "state.h"
+#include "tick/state.h"
 #include "wire/encode.h"
 
 namespace crumple {
@@ -52,10 +52,9 @@ Result pile_up(const std::function<std::optional<uint64_t>(int tick)>& budget, i
   Outbox outbox;
   for (int k = 0; k < 12; ++k) {
     if (const auto visits = budget(k)) inbox.push_back(budget_message(*visits));
-    tick(*world, inbox, outbox, threads);
+    result.works.push_back(tick(*world, inbox, outbox, threads).work);
     inbox.clear();
     result.hashes.push_back(hash(*world));
-    result.works.push_back(work(*world));
     result.sweeps.emplace_back();
     for (const auto& [id, car] : world->cars) result.sweeps.back().push_back(int(car.response.sweeps));
   }

@@ -1,6 +1,6 @@
 // Reading a baked car: what is accepted is sound and points into the file, everything else is refused with a sentence.
 
-#include "asset/car.h"
+#include "car/car.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,8 @@
 #include <cstring>
 #include <limits>
 
-#include "asset/bake.h"
+#include "bake/bake.h"
+#include "bake/load_car.h"
 #include "box_car.h"
 #include "refusal.h"
 

@@ -15,9 +15,9 @@
 #include "box_car.h"
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
-#include "cpp/surface.h"
+#include "io/transport.h"
 #include "schema/message_generated.h"
-#include "transport/transport.h"
+#include "viewer/surface.h"
 #include "wire/encode.h"
 #include "wire/surface.h"
 

@@ -1,8 +1,8 @@
 // The door: what strangers can send, hold open or leave behind, and what the service does meanwhile. Each test was once an
 // attack that stopped, deafened or filled a server.
 #include "host.h"
+#include "io/transport.h"
 #include "program.h"
-#include "transport/transport.h"
 
 namespace crumple {
 namespace {

@@ -2,9 +2,10 @@
 #include <regex>
 #include <thread>
 
+#include "bake/load_car.h"
+#include "io/transport.h"
 #include "program.h"
 #include "schema/message_generated.h"
-#include "transport/transport.h"
 
 namespace crumple {
 namespace {

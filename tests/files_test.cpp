@@ -1,6 +1,6 @@
 // Files that are none, that never end, that change while they are used, and disks without room: a sentence, and nothing half
 // done.
-#include "files/files.h"
+#include "io/files.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -9,11 +9,12 @@
 #include <csignal>
 #include <set>
 
-#include "asset/bake.h"
+#include "bake/bake.h"
+#include "bake/load_car.h"
 #include "box_car.h"
-#include "cpp/obj.h"
-#include "gltf.h"
+#include "io/obj.h"
 #include "program.h"
+#include "recording/gltf.h"
 #include "refusal.h"
 
 namespace crumple {

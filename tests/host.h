@@ -8,10 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "cpp/surface.h"
 #include "schema/message_generated.h"
+#include "tick/world.h"
+#include "viewer/surface.h"
 #include "wire/decode.h"
-#include "world.h"
 
 namespace crumple::host {
 

@@ -12,8 +12,8 @@
 #include <set>
 #include <sstream>
 
+#include "io/transport.h"
 #include "program.h"
-#include "transport/transport.h"
 
 namespace crumple {
 namespace {

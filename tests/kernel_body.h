@@ -9,8 +9,8 @@
 #include <random>
 #include <vector>
 
-#include "asset/make_blocks.h"
 #include "box_car.h"
+#include "car/make_blocks.h"
 #include "sim/nodal.h"
 
 namespace crumple {

@@ -7,12 +7,12 @@
 #include <cmath>
 #include <map>
 
-#include "asset/map_level.h"
 #include "box_car.h"
+#include "car/map_level.h"
 #include "host.h"
 #include "sim/flow.h"
-#include "snapshot.h"
-#include "state.h"
+#include "tick/snapshot.h"
+#include "tick/state.h"
 
 namespace crumple {
 namespace {
@@ -130,7 +130,7 @@ struct Scene {
   Scene() {
     for (int which : {1, 2, 0}) add_asset(*world, level(which));
   }
-  void step(Inbox inbox = {}) { tick(*world, inbox, outbox, threads); }
+  Work step(Inbox inbox = {}) { return tick(*world, inbox, outbox, threads).work; }
   void spawn(int which = 0) {
     step({{"car/a", host::spawn(level(which)->hash, "game"), 1}});
     EXPECT_TRUE(host::read_as<schema::Answer>(outbox.at(0).bytes)->ok());
@@ -359,8 +359,7 @@ std::vector<uint64_t> hashes(int threads) {
   uint64_t most = 0;
   for (int k = 0; k < 25; ++k) {
     out.push_back(hash(*scene.world));
-    most = std::max(most, work(*scene.world).done);
-    scene.step();
+    most = std::max(most, scene.step().done);
   }
   for (const auto& [id, car] : scene.world->cars) ++sizes[car.body.node.size()];
   EXPECT_GE(sizes.size(), 2u);
@@ -378,10 +377,9 @@ TEST(Levels, AWorldSavedInMidCrashOnABudgetGoesOnBitForBit) {
     for (int k = 0; k < 30; ++k) {
       Inbox inbox;
       if (k == 15) inbox = {budget_message(200'000)};
-      scene.step(inbox);
+      most = std::max(most, scene.step(inbox).done);
       copy.step(inbox);
       ASSERT_EQ(hash(*copy.world), hash(*scene.world)) << ticks << " and " << k << " ticks";
-      most = std::max(most, work(*scene.world).done);
     }
     EXPECT_GT(most, 0u);
   }

@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "impaired_link.h"
+#include "io/transport.h"
 #include "program.h"
-#include "transport/transport.h"
 
 namespace crumple {
 namespace {

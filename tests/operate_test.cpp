@@ -9,8 +9,8 @@
 #include <sstream>
 
 #include "host.h"
+#include "io/transport.h"
 #include "program.h"
-#include "transport/transport.h"
 
 namespace crumple {
 namespace {

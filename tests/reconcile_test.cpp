@@ -1,5 +1,5 @@
 // Which motion a tick starts from, with numbers worked out by hand.
-#include "reconcile.h"
+#include "tick/reconcile.h"
 
 #include <gtest/gtest.h>
 

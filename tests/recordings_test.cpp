@@ -11,9 +11,9 @@
 #include <sstream>
 #include <thread>
 
+#include "io/transport.h"
 #include "program.h"
 #include "schema/message_generated.h"
-#include "transport/transport.h"
 #include "wire/surface.h"
 
 namespace crumple {

@@ -8,7 +8,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "asset/script.h"
+#include "bake/script.h"
 
 namespace crumple {
 

@@ -1,6 +1,6 @@
 // What a server records in the long run: with cars that come and go for ever its memory stays flat, and nothing is lost. Real
 // ticks on a clock of the test's own; their files are verified by the program.
-#include "series.h"
+#include "recording/series.h"
 
 #include <gtest/gtest.h>
 #include <malloc.h>

@@ -1,6 +1,6 @@
 // The transport room against its header: real zenoh sessions on loopback in one process, real files in the test's folder.
 // In: transport.h only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
-#include "transport/transport.h"
+#include "io/transport.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>
@@ -458,7 +458,7 @@ TEST(Net, NoThreadOfASessionIsEndedByAPeerThatHangsUp) {
   EXPECT_GE(writers, 4);
 }
 
-// A session does not linger at its end (server/transport/.cargo/config.toml).
+// A session does not linger at its end (server/io/.cargo/config.toml).
 TEST(Net, HandsOnWhatWasPutBeforeItClosed) {
   const Session server = open_peer();
   ASSERT_EQ(net_subscribe(server.get(), "t/last", 1000, NET_LONGEST), TRANSPORT_OK);
@@ -831,7 +831,7 @@ std::string after(const std::string& text, const std::string& marker) {
 // zenoh speaks one minor version on all ends: the Rust library's is the one that the Python tools install.
 TEST(Transport, AgreesWithPythonOnTheVersionOfZenoh) {
   const std::filesystem::path root = CRUMPLE_SOURCE_DIR;
-  const std::string lock = after(read_file(root / "server/transport/Cargo.lock"), "name = \"zenoh\"\nversion = \"");
+  const std::string lock = after(read_file(root / "server/io/Cargo.lock"), "name = \"zenoh\"\nversion = \"");
   EXPECT_EQ(lock, after(read_file(root / "server/requirements.txt"), "eclipse-zenoh=="));
   EXPECT_EQ(lock, after(transport_version(), "zenoh "));
 }

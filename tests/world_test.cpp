@@ -10,8 +10,8 @@
 #include "box_car.h"
 #include "host.h"
 #include "refusal.h"
-#include "snapshot.h"
-#include "state.h"
+#include "tick/snapshot.h"
+#include "tick/state.h"
 
 namespace crumple {
 namespace {
@@ -254,6 +254,31 @@ TEST(World, CommandsAreRefusedWithSentencesThatNameTheRemedy) {
   EXPECT_EQ(scene.ask("a", host::despawn()), "");
   says(scene.ask("a", host::despawn()), "car a does not live here");
   says(scene.ask("a/b/c", host::despawn()), "key \"car/a/b/c\" is none of");
+}
+
+TEST(World, ATickSaysWhichCarsCameWentAndWereReplaced) {
+  Scene scene;
+  const std::string asset = scene.world->assets.begin()->first;
+  const Bytes spawn = host::spawn(asset, "game", pose_at(0)), despawn = host::despawn(), replace = host::replace(asset);
+  const auto make = [&](std::initializer_list<std::pair<const char*, Bytes>> commands) {
+    Inbox inbox;
+    for (const auto& [car, bytes] : commands) inbox.push_back({std::string("car/") + car, bytes});
+    return tick(*scene.world, inbox, scene.outbox, 1);
+  };
+  using Ids = std::vector<std::string>;
+  TickResult result = make({{"b", spawn}, {"a", spawn}, {"brief", spawn}, {"brief", despawn}, {"none", despawn}});
+  EXPECT_EQ(result.spawned, (Ids{"b", "a"}));
+  EXPECT_EQ(result.despawned, Ids{});
+  result = make({{"a", despawn}, {"a", spawn}, {"b", replace}, {"b", replace}, {"b", spawn}});
+  EXPECT_EQ(result.spawned, Ids{"a"});
+  EXPECT_EQ(result.despawned, Ids{"a"});
+  EXPECT_EQ(result.replaced, Ids{"b"});
+  result = make({{"a", replace}, {"a", despawn}, {"a", spawn}, {"a", despawn}});
+  EXPECT_EQ(result.spawned, Ids{});
+  EXPECT_EQ(result.despawned, Ids{"a"});
+  EXPECT_EQ(result.replaced, Ids{});
+  result = make({});
+  EXPECT_TRUE(result.spawned.empty() && result.despawned.empty() && result.replaced.empty());
 }
 
 TEST(World, SpawnTakesTheBakedMassOrScalesTheBakedInertia) {

@@ -12,7 +12,8 @@
 #include <sstream>
 #include <thread>
 
-#include "asset/car.h"
+#include "bake/load_car.h"
+#include "car/car.h"
 #include "cpp/crumple.hpp"
 #include "load.h"
 

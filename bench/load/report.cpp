@@ -9,7 +9,7 @@
 
 #include "load.h"
 #include "machine.h"
-#include "recording.h"
+#include "recording/recording.h"
 #include "schema/message_generated.h"
 
 namespace crumple::load {

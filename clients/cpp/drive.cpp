@@ -13,7 +13,7 @@
 
 #include "cpp/crumple.hpp"
 #include "cpp/scene.h"
-#include "files/files.h"
+#include "io/files.h"
 
 #define XXH_INLINE_ALL
 #include <xxhash.h>

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "files/files.h"
+#include "io/files.h"
 
 // SCENE_BFBS: schema/scene.fbs with what it includes, compiled by flatc.
 asm(".pushsection .rodata\n.balign 8\nscene_schema:\n.incbin \"" SCENE_BFBS "\"\nscene_schema_end:\n.popsection");

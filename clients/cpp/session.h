@@ -13,8 +13,8 @@
 #include <vector>
 
 #include "cpp/crumple_client.h"
-#include "cpp/surface.h"
-#include "transport/transport.h"
+#include "io/transport.h"
+#include "viewer/surface.h"
 
 namespace crumple::client {
 

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "cpp/crumple.hpp"
-#include "cpp/obj.h"
+#include "io/obj.h"
 
 namespace crumple::client {
 namespace {

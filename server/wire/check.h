@@ -8,9 +8,9 @@
 #include <string_view>
 
 #include "protocol/key.h"
+#include "protocol/limits.h"
 #include "schema/message_generated.h"
 #include "sim/obstacle.h"
-#include "wire/limits.h"
 #include "wire/refusal.h"
 
 namespace crumple {

@@ -11,10 +11,10 @@
 #include <variant>
 #include <vector>
 
+#include "protocol/limits.h"
 #include "sim/body.h"
 #include "sim/material.h"
 #include "sim/motion.h"
-#include "wire/limits.h"
 #include "wire/refusal.h"
 
 namespace crumple {

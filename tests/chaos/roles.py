@@ -198,7 +198,7 @@ def configured(mode, ends, network="-"):
         config.insert_json5("connect/timeout_ms", "3000")
         config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2}')
     elif network == "-":
-        # As server/transport/src/config.rs and server/router.json5 have it. With zenoh's two batches and 5 s whoever asks and never
+        # As server/io/src/config.rs and server/router.json5 have it. With zenoh's two batches and 5 s whoever asks and never
         # reads stops a router as long.
         for queue in ("data_high", "data", "real_time", "data_low"):
             config.insert_json5(f"transport/link/tx/queue/size/{queue}", "16")

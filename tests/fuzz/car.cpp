@@ -1,8 +1,9 @@
 // A baked car from a file, which is then hit.
-#include "asset/car.h"
+#include "car/car.h"
 
 #include <stdexcept>
 
+#include "bake/load_car.h"
 #include "fuzz/small_world.h"
 #include "host.h"
 

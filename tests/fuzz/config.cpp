@@ -2,9 +2,9 @@
 #include <cstring>
 #include <stdexcept>
 
-#include "command_line.h"
+#include "cli/command_line.h"
 #include "fuzz/small_world.h"
-#include "transport/transport.h"
+#include "io/transport.h"
 
 namespace crumple::fuzz {
 

@@ -1,8 +1,8 @@
 // What the owner of a scene sends to a server that stands by: the inputs of a tick.
 #include "fuzz/small_world.h"
 #include "host.h"
-#include "recording.h"
-#include "standby.h"
+#include "recording/recording.h"
+#include "service/standby.h"
 
 namespace crumple::fuzz {
 

@@ -1,17 +1,17 @@
 // A recording from a file, by every verb that reads one.
-#include "recording.h"
+#include "recording/recording.h"
 
 #include <cstring>
 #include <filesystem>
 #include <stdexcept>
 
-#include "export.h"
+#include "cli/info.h"
 #include "fuzz/small_world.h"
 #include "host.h"
-#include "info.h"
-#include "recover.h"
-#include "replay.h"
-#include "snapshot.h"
+#include "recording/export.h"
+#include "recording/recover.h"
+#include "recording/replay.h"
+#include "tick/snapshot.h"
 
 namespace crumple::fuzz {
 namespace {

@@ -4,7 +4,7 @@
 #include <filesystem>
 #include <stdexcept>
 
-#include "asset/paint_regions.h"
+#include "bake/paint_regions.h"
 #include "box_car.h"
 #include "fuzz/entries.h"
 

@@ -4,11 +4,11 @@
 #include <cstring>
 
 #include "box_car.h"
-#include "cpp/surface.h"
-#include "recording.h"
+#include "recording/recording.h"
 #include "schema/message_generated.h"
-#include "snapshot.h"
-#include "state.h"
+#include "tick/snapshot.h"
+#include "tick/state.h"
+#include "viewer/surface.h"
 
 namespace crumple::fuzz {
 namespace {

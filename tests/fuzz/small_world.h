@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "fuzz/entries.h"
+#include "tick/world.h"
 #include "wire/decode.h"
-#include "world.h"
 
 namespace crumple::fuzz {
 

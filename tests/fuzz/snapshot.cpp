@@ -1,12 +1,12 @@
 // A whole world as bytes, as a server that stands by and a recording have it. Whoever makes such bytes up makes up their sum
 // too: whatever is loaded can be gone on with.
-#include "snapshot.h"
+#include "tick/snapshot.h"
 
 #include <stdexcept>
 
 #include "fuzz/small_world.h"
 #include "host.h"
-#include "state.h"
+#include "tick/state.h"
 
 namespace crumple::fuzz {
 

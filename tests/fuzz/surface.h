@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "cpp/surface.h"
+#include "viewer/surface.h"
 
 namespace crumple::fuzz {
 

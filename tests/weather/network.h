@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "fibers.h"
-#include "transport/transport.h"
+#include "io/transport.h"
 
 namespace crumple::weather {
 

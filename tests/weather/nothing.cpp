@@ -3,7 +3,7 @@
 #include <cstdio>
 #include <cstdlib>
 
-#include "transport/transport.h"
+#include "io/transport.h"
 
 namespace {
 

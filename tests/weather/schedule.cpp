@@ -12,9 +12,9 @@
 #include "network.h"
 #include "protocol/key.h"
 #include "schema/message_generated.h"
-#include "serve.h"
-#include "standby.h"
-#include "state.h"
+#include "service/serve.h"
+#include "service/standby.h"
+#include "tick/state.h"
 
 namespace crumple::weather {
 
@@ -738,11 +738,12 @@ Ended run_schedule(uint64_t seed, const std::string& car_file, const std::string
 }
 
 // The tick, and what it came to (--wrap of the linker).
-void real_tick(World&, const Inbox&, Outbox&, int) __asm__("__real_" CRUMPLE_TICK);
-void wrapped_tick(World&, const Inbox&, Outbox&, int) __asm__("__wrap_" CRUMPLE_TICK);
-void wrapped_tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
-  real_tick(world, inbox, outbox, threads);
+TickResult real_tick(World&, const Inbox&, Outbox&, int) __asm__("__real_" CRUMPLE_TICK);
+TickResult wrapped_tick(World&, const Inbox&, Outbox&, int) __asm__("__wrap_" CRUMPLE_TICK);
+TickResult wrapped_tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
+  TickResult result = real_tick(world, inbox, outbox, threads);
   ticked(world);
+  return result;
 }
 
 }  // namespace crumple::weather

@@ -1,0 +1,83 @@
+// The program's own host and viewer, built on the client library as a game is. `crumple drive` and `crumple watch` run it.
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <exception>
+
+#include "cpp/drive.h"
+#include "cpp/options.h"
+#include "cpp/watch.h"
+
+namespace {
+
+using namespace crumple::client;
+
+std::atomic<bool> stop{false};
+static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
+
+// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+void on_signal(int signal) {
+  stop = true;
+  std::signal(signal, SIG_DFL);
+}
+
+CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
+  CLI::App& verb = *app.add_subcommand("drive", "A scripted host: drives a car into things and says what became of it");
+  verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
+  verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network);
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
+  verb.add_option("--id", options.id, "id of the car that is spawned")->check(id)->capture_default_str();
+  verb.add_option("--preset", options.preset, "how the car bends, laid over the scene's parameters; see clients/presets")
+      ->type_name("FILE");
+  verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
+  verb.add_flag("--leave", options.leave, "leaves the car in the scene");
+  verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");
+  return verb;
+}
+
+CLI::App& add_watch(CLI::App& app, WatchOptions& options) {
+  CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
+  verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
+  add_network(verb, options.network);
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
+  verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
+      ->check(CLI::Range(0, 1))
+      ->capture_default_str();
+  verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
+  verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
+  verb.add_option("--obj", options.obj, "writes the surface that is held at the end")->type_name("FILE.obj");
+  verb.footer("Example: crumple watch --seconds 10 --obj dented.obj");
+  return verb;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Clients of a crumple server: a host and a viewer.", "crumple"};
+  app.require_subcommand(1);
+  DriveOptions drive_options;
+  WatchOptions watch_options;
+  CLI::App& drive_verb = add_drive(app, drive_options);
+  add_watch(app, watch_options);
+  const char* name = argc > 1 ? argv[1] : "";
+  try {
+    app.parse(argc, argv);
+    std::signal(SIGINT, on_signal);
+    std::signal(SIGTERM, on_signal);
+    std::signal(SIGXFSZ, SIG_IGN);  // a file at the limit of this process cannot be written: a sentence, not the end
+    return drive_verb.parsed() ? drive(drive_options, stop) : watch(watch_options, stop);
+  } catch (const CLI::Success& asked) {  // --help
+    return app.exit(asked);
+  } catch (const CLI::ParseError& error) {
+    std::fprintf(stderr, "crumple %s: %s\nTry: crumple %s --help\n", name, error.what(), name);
+    return 2;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "crumple %s: %s\n", name, error.what());
+    return 1;
+  }
+}

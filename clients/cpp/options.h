@@ -1,0 +1,34 @@
+// Options that the program's clients share.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <string>
+
+#include "io/files.h"
+#include "io/transport.h"
+#include "protocol/key.h"
+
+namespace crumple::client {
+
+inline const CLI::Validator id(
+    [](std::string& text) -> std::string {
+      return crumple::is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule;
+    },
+    "ID");
+
+// text: what the file holds.
+inline void add_network(CLI::App& verb, std::string& text) {
+  const auto read = [&text](const std::string& path) {
+    try {
+      text = read_file(path, text_limit, "check the path, and that this user may read it");
+    } catch (const std::runtime_error& refused) {
+      throw CLI::FileError(refused.what());
+    }
+    if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
+  };
+  verb.add_option_function<std::string>(
+          "--network", read, "zenoh's own configuration, laid over ours: TLS, a user, certificates; see clients/network.json5")
+      ->type_name("FILE.json5");
+}
+
+}  // namespace crumple::client

@@ -1,0 +1,200 @@
+#include "bake/bake.h"
+
+#include <flatbuffers/flatbuffers.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <fstream>
+#include <iterator>
+#include <stdexcept>
+
+#include "bake/build_constraints.h"
+#include "bake/built_in.h"
+#include "bake/load_car.h"
+#include "bake/order_spatially.h"
+#include "bake/paint_regions.h"
+#include "bake/text_of.h"
+#include "car/build_skin.h"
+#include "car/car.h"
+#include "io/files.h"
+#include "schema/car_generated.h"
+
+namespace crumple {
+namespace {
+
+constexpr std::string_view built_in = "built-in";
+constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
+
+// What is cheap to know before the tets are made.
+void check_options(const BakeOptions& options) {
+  if (options.mass != 0 && !(options.mass >= least_mass && options.mass <= most_mass))
+    throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
+}
+
+// ---- input -------------------------------------------------------------------------------------------------------------
+
+size_t built_in_vertices(const std::string& input) {
+  if (input == built_in) return default_vertices;
+  size_t vertices = 0;
+  const char* end = input.data() + input.size();
+  const auto [stop, error] = std::from_chars(input.data() + built_in.size() + 1, end, vertices);
+  if (error != std::errc() || stop != end || vertices < 400 || vertices > 20'000)
+    throw std::runtime_error(input + ": write built-in:VERTICES with a number from 400 to 20000, such as built-in:1259.");
+  return vertices;
+}
+
+bool is_built_in(const std::string& input) { return input == built_in || input.starts_with(std::string(built_in) + ":"); }
+
+ImportedSurface read_surface(const BakeOptions& options) {
+  if (!is_built_in(options.input)) return import_surface(options.input, options.import);
+  const Surface body = build_car_body(built_in_vertices(options.input));
+  std::vector<Eigen::Vector3d> positions;
+  for (const Vec3& vertex : body.vertex) positions.push_back(vertex.cast<double>());
+  return place_surface(positions, {}, body.triangle, {}, options.input);
+}
+
+std::string default_name(const std::string& input) {
+  return is_built_in(input) ? std::string(built_in) : std::filesystem::path(input).stem().string();
+}
+
+std::string default_attribution(const std::string& input) {
+  return is_built_in(input) ? "built-in car of the crumple project, Apache-2.0" : "not stated";
+}
+
+// ---- output ------------------------------------------------------------------------------------------------------------
+
+template <class Theirs, class Ours>
+auto structs(flatbuffers::FlatBufferBuilder& builder, const std::vector<Ours>& list) {
+  static_assert(sizeof(Theirs) == sizeof(Ours));
+  return builder.CreateVectorOfStructs(reinterpret_cast<const Theirs*>(list.data()), list.size());
+}
+
+schema::Vec3 stored(const Vec3& v) { return {v.x(), v.y(), v.z()}; }
+
+struct Parts {
+  const Surface& surface;
+  const TetMesh& tets;
+  const Constraints& constraints;
+  const Masses& masses;
+  const Regions& regions;
+  const SkinResult& skin;
+};
+
+std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options) {
+  flatbuffers::FlatBufferBuilder builder(1 << 20);
+  const auto name = builder.CreateString(options.name.empty() ? default_name(options.input) : options.name);
+  const auto attribution =
+      builder.CreateString(options.attribution.empty() ? default_attribution(options.input) : options.attribution);
+  const auto node = structs<schema::Vec3>(builder, parts.tets.node);
+  const auto node_mass = builder.CreateVector(parts.masses.node);
+  const auto node_region = builder.CreateVector(parts.regions.node_region);
+  const auto node_anchored = builder.CreateVector(parts.regions.node_anchored);
+  const auto tet = structs<schema::Tet>(builder, parts.tets.tet);
+  const auto gradients = structs<schema::Gradients>(builder, parts.constraints.gradients);
+  const auto tet_rest = builder.CreateVector(parts.constraints.tet_rest);
+  const auto tet_region = builder.CreateVector(parts.regions.tet_region);
+  const auto edge = structs<schema::Edge>(builder, parts.constraints.edge);
+  const auto edge_rest = builder.CreateVector(parts.constraints.edge_rest);
+  const auto node_first = builder.CreateVector(parts.constraints.node_first);
+  const auto corner = builder.CreateVector(parts.constraints.corner);
+  const auto vertex = structs<schema::Vec3>(builder, parts.surface.vertex);
+  const auto triangle = builder.CreateVector(parts.surface.triangle.data()->data(), 3 * parts.surface.triangle.size());
+  const auto skin = structs<schema::Skin>(builder, parts.skin.skin);
+  const auto region = builder.CreateVectorOfStrings(parts.regions.name);
+  const schema::Vec3 center = stored(parts.masses.center), inertia = stored(parts.masses.inertia);
+  schema::FinishCarBuffer(
+      builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored, tet, gradients,
+                                 tet_rest, tet_region, edge, edge_rest, node_first, corner, vertex, triangle, skin, region,
+                                 static_cast<float>(options.mass), &center, &inertia));
+  const auto* bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {bytes, bytes + builder.GetSize()};
+}
+
+void report_result(const Parts& parts, std::vector<std::string>& report) {
+  const auto [smallest, largest] = std::minmax_element(parts.constraints.tet_rest.begin(), parts.constraints.tet_rest.end());
+  report.push_back(std::to_string(parts.tets.node.size()) + " nodes, " + std::to_string(parts.tets.tet.size()) +
+                   " volume constraints (" + text_of(*smallest, "%.2g") + " to " + text_of(*largest, "%.2g") + " m^3), " +
+                   std::to_string(parts.constraints.edge.size()) + " distance constraints");
+  const SkinResult& skin = parts.skin;
+  report.push_back("skin: " + std::to_string(skin.coincident) + " vertices on a node, " + std::to_string(skin.contained) +
+                   " inside a tet, " + std::to_string(skin.nearest) + " on the nearest tet" +
+                   (skin.nearest ? ", at most " + text_of(1000 * skin.farthest, "%.1f") + " mm away" : ""));
+}
+
+// Tets of another car, in other axes, or of a surface that encloses next to nothing. A few far vertices are an aerial.
+void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions& options) {
+  Eigen::AlignedBox3f box;
+  for (const Vec3& vertex : surface.vertex) box.extend(vertex);
+  const double limit = 0.03 * box.sizes().maxCoeff();
+  const auto far = std::count_if(skin.distance.begin(), skin.distance.end(), [&](double distance) { return distance > limit; });
+  if (4 * far <= std::ssize(skin.distance)) return;
+  const std::string remedy = options.tets.empty() ? "close the surface's holes, so that it has an inside"
+                                                  : "give tets of this very surface, in its axes and unit";
+  throw std::runtime_error((options.tets.empty() ? options.input : options.tets.string()) + ": " + std::to_string(far) +
+                           " of " + std::to_string(skin.distance.size()) + " vertices lie more than " + text_of(limit, "%.2f") +
+                           " m outside the tets, up to " + text_of(skin.farthest, "%.2f") + " m; " + remedy + ".");
+}
+
+}  // namespace
+
+BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given) {
+  BakeOptions options = given;
+  if (options.mass == 0) options.mass = default_mass;
+  BakeResult out;
+  order_spatially(surface);
+  order_spatially(tets);
+  const Constraints constraints = build_constraints(tets);
+  const Masses masses = lump_masses(tets, constraints.tet_rest, options.mass);
+  const Regions regions = paint_regions(tets, surface, options.regions, options.input, out.report);
+  const SkinResult skin = build_skin(tets, surface.vertex);
+  check_fit(surface, skin, options);
+  const Parts parts{surface, tets, constraints, masses, regions, skin};
+  report_result(parts, out.report);
+  out.car = read_car(serialise(parts, options), options.input);
+  return out;
+}
+
+BakeResult bake(const BakeOptions& options, const Progress& progress) {
+  check_options(options);
+  if (is_baked_car(options.input)) return rebake(*load_car(options.input), options);
+  const ImportedSurface input = read_surface(options);
+  std::vector<std::string> report = input.report;
+  TetMesh tets = options.tets.empty() ? tetrahedralise(input, options.nodes, options.input, progress, report)
+                                      : import_tets(options.tets, input.from_file, report);
+  if (progress) progress("constraints, skin and regions");
+  BakeResult out = assemble_car(input.surface, std::move(tets), options);
+  out.report.insert(out.report.begin(), report.begin(), report.end());
+  return out;
+}
+
+bool is_baked_car(const std::filesystem::path& file) {
+  char head[8] = {};
+  std::error_code none;
+  if (!std::filesystem::is_regular_file(file, none)) return false;  // to open a pipe would wait
+  std::ifstream(file, std::ios::binary).read(head, sizeof head);
+  return schema::CarBufferHasIdentifier(head);
+}
+
+// Nodes, tets and vertices are in spatial order already, and ordering those again changes nothing.
+BakeResult rebake(const Car& car, BakeOptions options) {
+  check_options(options);
+  const Model& model = car.model;
+  Surface surface{{model.vertex.begin(), model.vertex.end()}, {}, {}};
+  for (size_t i = 0; i < model.triangle.size(); i += 3)
+    surface.triangle.push_back({model.triangle[i], model.triangle[i + 1], model.triangle[i + 2]});
+  if (options.mass == 0) options.mass = double(model.mass);
+  if (options.name.empty()) options.name = car.name;
+  if (options.attribution.empty()) options.attribution = car.attribution;
+  return assemble_car(std::move(surface), {{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}},
+                      options);
+}
+
+void write_car(const Car& car, const std::filesystem::path& file) {
+  FileWriter writer(file);
+  writer.put(car.bytes.data(), car.bytes.size());
+  writer.finish();
+}
+
+}  // namespace crumple

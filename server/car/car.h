@@ -1,0 +1,42 @@
+// A baked car: the file in memory and the views onto it. Built by bake (or read from a file, an attachment, a reply), then
+// immutable and shared by every instance.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "sim/model.h"
+
+namespace crumple {
+
+// Limits on a baked car: what a tick of one car can still be computed for, and what indices can address.
+inline constexpr uint32_t max_nodes = 200'000;
+inline constexpr uint32_t max_tets = 1'000'000;
+inline constexpr uint32_t max_vertices = 200'000;
+inline constexpr uint32_t max_regions = 16;
+inline constexpr size_t max_car_size = size_t{256} << 20;     // bytes: a car at all of the limits above has 165 MB
+inline constexpr float max_extent = 50;                       // m from the origin along each axis: twice the longest car
+inline constexpr float least_mass = 10, most_mass = 100'000;  // kg: a pedal car, a loaded lorry
+inline constexpr double smallest_volume = 1e-12;  // m^3 of a tet, a tenth of a millimetre cubed: nothing to divide by
+
+struct Car {
+  Model model;
+  Blocks blocks;
+  float mean_edge = 0;              // m
+  std::vector<uint32_t> skin_node;  // nodes that a vertex moves with, ascending: what viewers are told of
+  std::string name;
+  std::string attribution;
+  std::vector<std::string> regions;
+  std::string hash;                   // 16 hexadecimal digits: XXH64 of the bytes
+  std::span<const std::byte> bytes;   // the whole file
+  std::shared_ptr<const void> owner;  // keeps the bytes alive
+};
+
+// Checks every size and index of a baked car's bytes, so that nothing behind it needs to. `name` stands for them in sentences.
+// Throws std::runtime_error with one sentence: name, fact, remedy. The first keeps the bytes, the second copies them.
+std::shared_ptr<const Car> read_car(std::string bytes, const std::string& name);
+std::shared_ptr<const Car> read_car(std::span<const std::byte> bytes, const std::string& name);
+
+}  // namespace crumple

@@ -1,0 +1,48 @@
+#include "cli/bake_command.h"
+
+#include <unistd.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <stdexcept>
+
+namespace crumple {
+
+namespace {
+
+void bake_one(const BakeOptions& options, const std::filesystem::path& output) {
+  const bool terminal = isatty(STDERR_FILENO);
+  const BakeResult result = bake(options, [&](const std::string& what) {
+    if (terminal) std::fprintf(stderr, "\r%s\x1b[K", what.c_str());
+  });
+  if (terminal) std::fprintf(stderr, "\r\x1b[K");
+  write_car(*result.car, output);
+  for (const std::string& line : result.report) std::printf("%s\n", line.c_str());
+  std::printf("%s  %s  %s\n", output.c_str(), result.car->hash.c_str(), result.car->attribution.c_str());
+}
+
+}  // namespace
+
+int bake_command(const BakeCommandOptions& options) {
+  if (options.nodes.size() > 1 && !options.bake.tets.empty())
+    throw std::runtime_error("--nodes: tets made elsewhere are of one level; give them one by one, or leave --tets out.");
+  BakeOptions one = options.bake;
+  const ImportOptions& import = one.import;
+  const bool placed = !import.forward.empty() || !import.up.empty() || import.scale != 1;
+  if (is_baked_car(one.input) && (!options.nodes.empty() || !one.tets.empty() || placed))
+    throw std::runtime_error(one.input +
+                             ": is a baked car, whose tets and axes stay; give only --regions, --mass, --name and "
+                             "--attribution, or bake from the surface again.");
+  if (!options.regions.empty()) one.regions = read_regions(options.regions);
+  if (options.nodes.empty()) bake_one(one, options.output);
+  for (const size_t nodes : options.nodes) {
+    one.nodes = nodes;
+    std::filesystem::path output = options.output;
+    if (options.nodes.size() > 1)
+      output.replace_filename(output.stem().string() + "-" + std::to_string(nodes) + output.extension().string());
+    bake_one(one, output);
+  }
+  return 0;
+}
+
+}  // namespace crumple

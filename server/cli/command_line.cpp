@@ -1,0 +1,356 @@
+#include "cli/command_line.h"
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <csignal>
+#include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <sstream>
+
+#include "cli/bake_command.h"
+#include "cli/info.h"
+#include "cli/render.h"
+#include "cli/run_client.h"
+#include "gateway/view.h"
+#include "io/files.h"
+#include "io/transport.h"
+#include "protocol/key.h"
+#include "recording/export.h"
+#include "recording/recording.h"
+#include "recording/recover.h"
+#include "recording/replay.h"
+#include "service/serve.h"
+
+namespace crumple {
+namespace {
+
+std::atomic<bool> stop{false};
+static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
+
+// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+void on_signal(int signal) {
+  stop = true;
+  std::signal(signal, SIG_DFL);
+}
+
+const CLI::Validator id(
+    [](std::string& text) -> std::string { return is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule; }, "ID");
+
+// A pipe may never end, and to open one waits until somebody writes.
+const CLI::Validator is_file(
+    [](std::string& path) -> std::string {
+      std::error_code none;
+      if (std::filesystem::is_regular_file(path, none)) return "";
+      return path + (std::filesystem::exists(path, none) ? ": is a folder, a pipe or a device; name a file"
+                                                         : ": there is no such file; check the path");
+    },
+    "FILE");
+
+// Of options.
+std::string read_text(const std::string& path) {
+  try {
+    return read_file(path, text_limit, "check the path, and that this user may read it");
+  } catch (const std::runtime_error& refused) {
+    throw CLI::FileError(refused.what());
+  }
+}
+
+// Of every verb with a network. text: what the file holds.
+void add_network(CLI::App& verb, std::string& text, const char* example) {
+  const auto read = [&text](const std::string& path) {
+    if (path.empty()) return;
+    text = read_text(path);
+    if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
+  };
+  verb.add_option_function<std::string>(
+          "--network", read,
+          std::string("zenoh's own configuration, laid over ours: TLS, users, who may do what; see ") + example)
+      ->type_name("FILE.json5")
+      ->run_callback_for_default();  // which is empty: only so that --print-config shows it
+}
+
+// Options from a file, in the form that --print-config has; what the command line says stands. To be added last: options are
+// looked at in the order in which they were added, so what is wrong by then is the file's fault.
+void add_config(CLI::App& verb) {
+  const auto read = [&verb](const std::string& path) {
+    std::istringstream text(read_text(path));
+    try {
+      verb.parse_from_stream(text);
+    } catch (const CLI::Success&) {
+      throw;
+    } catch (const CLI::ParseError& error) {
+      throw CLI::FileError(path + ": " + error.what() + "; `crumple " + verb.get_name() +
+                           " --car CAR --print-config` shows every key and what it means");
+    }
+  };
+  verb.allow_config_extras(CLI::config_extras_mode::error);
+  verb.add_option_function<std::string>("--config", read, "takes options from this file, except those given here as well")
+      ->type_name("FILE.toml")
+      ->configurable(false);
+}
+
+using Verb = std::function<int()>;
+
+// Each of these adds one verb and gives back what it does.
+Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("bake", "Turns a surface mesh into a baked car: tetrahedra, constraints, skin, one file");
+  BakeOptions& bake = options.bake;
+  verb.add_option(
+          "INPUT", bake.input,
+          "OBJ, glTF, GLB, STL, PLY, ...; or a baked car, to paint it anew: its tets and skin stay; or built-in: the car "
+          "that this program makes itself")
+      ->required();
+  verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
+  verb.add_option("--nodes", options.nodes,
+                  "wanted number of nodes, met within 15 %; several, as in 1000,5000: levels of the car, in CAR-1000.car ...; "
+                  "default: 2500")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->check(CLI::Range(100, 200'000));
+  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
+  verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
+      ->check(is_file);
+  verb.add_option("--mass", bake.mass, "kg; default: a baked car's own, else 1500")->check(CLI::Range(1.0, 100'000.0));
+  const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
+  verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
+      ->check(axes);
+  verb.add_option("--up", bake.import.up, "the input's axis that points up; default: as its format says")->check(axes);
+  verb.add_option("--scale", bake.import.scale, "metres in one unit of the input")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str();
+  verb.add_option("--name", bake.name, "default: a baked car's own, else the input's file name");
+  verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
+  verb.footer(
+      "Examples: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'\n"
+      "          crumple bake m130.car --regions painted.json -o painted.car");
+  return [&options] { return bake_command(options); };
+}
+
+Verb add_serve(CLI::App& app, ServeOptions& options) {
+  CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
+  verb.add_option("--car", options.cars, "baked cars that may be spawned; those of the same surface are levels of one car")
+      ->required()
+      ->check(is_file)
+      ->type_name("CAR");
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(id)->capture_default_str();
+  verb.add_option("--listen", options.listen,
+                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
+                  "network, by anyone unless --network says who")
+      ->capture_default_str();
+  verb.add_option(
+          "--connect", options.connect,
+          "instead of listening: endpoints of zenoh routers, comma separated; hosts and viewers connect to them as well")
+      ->type_name("ENDPOINTS");
+  verb.add_flag("--standby", options.standby,
+                "holds the world of the scene's server, tick by tick, and goes on in its place when it is gone");
+  add_network(verb, options.network, "server/network.json5");
+  verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
+  verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
+      ->check(CLI::Range(0, 256))
+      ->capture_default_str();
+  verb.add_option("--budget", options.budget_ms,
+                  "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
+                  "0: no limit")
+      ->check(CLI::NonNegativeNumber)
+      ->type_name("MS")
+      ->capture_default_str();
+  verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
+      ->check(CLI::Range(0.001, 100.0))
+      ->capture_default_str();
+  verb.add_option(
+          "--record", options.record,
+          "writes the session to this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
+          "a service that starts again keeps what it recorded before")
+      ->type_name("FILE.mcap");
+  verb.add_option(
+          "--record-minutes", options.record_minutes,
+          "goes on in another --record file after so long, which begins with the whole world and replays by itself: named by "
+          "its time, or with -2, -3, ...; 0: only when the index of one has grown to 32 MiB, or its keys to 32,768")
+      ->check(CLI::Range(0.0, 60.0 * 24 * 365))
+      ->capture_default_str();
+  verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
+      ->type_name("HOST:PORT");
+  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  verb.add_flag("--check-config", options.check, "says whether options, cars and network configuration are good; opens nothing")
+      ->configurable(false);
+  const CLI::Option* print = verb.add_flag("--print-config")
+                                 ->description("prints all options as a file for --config, with comments")
+                                 ->configurable(false);
+  add_config(verb);
+  verb.footer(
+      "Example: crumple serve --car m130.car --record today.mcap\n"
+      "A service: crumple serve --car m130.car --print-config > server.toml\n"
+      "           crumple serve --config server.toml");
+  return [&options, &verb, print] {
+    if (print->count() == 0) return serve(options, stop);
+    std::fputs(verb.config_to_str(true, true).c_str(), stdout);
+    return 0;
+  };
+}
+
+// Verbs of the client program beside this one: it is built on the client library alone.
+Verb add_client(CLI::App& app, const char* name, const char* description) {
+  CLI::App& verb = *app.add_subcommand(name, description);
+  verb.set_help_flag();
+  verb.prefix_command();
+  return [&verb] { return run_client(verb.get_name(), verb.remaining()); };
+}
+
+Verb add_view(CLI::App& app, ViewOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("view", "Shows a scene, or a recording, in browsers: a page with every car and its dents");
+  CLI::Option* file =
+      verb.add_option("FILE", options.files,
+                      "a recording, played again and again; two: beside each other, their difference as colours; "
+                      "default: a server's scene")
+          ->check(is_file)
+          ->expected(0, 2)
+          ->type_name("FILE.mcap");
+  CLI::Option* speed = verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
+                           ->needs(file)
+                           ->check(CLI::Range(0.01, 100.0))
+                           ->capture_default_str();
+  verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
+  add_network(verb, options.network, "clients/network.json5");
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->excludes(file)->capture_default_str();
+  verb.add_option("--listen", options.listen,
+                  "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
+                  "phone in the same network, and from whoever else is in it")
+      ->type_name("HOST:PORT")
+      ->capture_default_str();
+  verb.add_flag("--control", options.control,
+                "lets browsers command the scene too: tune, repair, paint and replace any car; without it they only look")
+      ->excludes(file);
+  verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
+  verb.footer(
+      "Examples: crumple view\n          crumple view --control\n          crumple view today.mcap --speed 0.25\n          "
+      "crumple view before.mcap after.mcap");
+  verb.callback([speed, &options] {
+    if (options.files.size() > 1 && !speed->empty())
+      throw CLI::ValidationError("--speed", "is of one recording; beside two the page has a choice of its own");
+  });
+  return [&options] { return view(options, stop); };
+}
+
+Verb add_replay(CLI::App& app, ReplayOptions& options) {
+  CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
+  verb.add_option("FILE", options.files, "recordings")->required()->check(is_file);
+  CLI::Option* verify =
+      verb.add_flag("--verify", options.verify,
+                    "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
+  CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
+  verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
+  verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
+  add_network(verb, options.network, "server/network.json5");
+  verb.add_option("--speed", options.speed, "of --publish: 1 is as it was")
+      ->needs(publish)
+      ->check(CLI::Range(0.01, 100.0))
+      ->capture_default_str();
+  verb.add_option("--from", options.from, "of --publish: seconds to skip")->needs(publish)->check(CLI::NonNegativeNumber);
+  verb.add_flag("--loop", options.loop, "of --publish: again and again, until Ctrl-C")->needs(publish);
+  verb.footer(
+      "Examples: crumple replay recordings/*.mcap --verify\n          crumple replay today.mcap --publish --speed 0.1 --loop");
+  verb.callback([verify, publish] {
+    if (verify->empty() && publish->empty()) throw CLI::RequiredError("--verify or --publish");
+  });
+  return [&options] { return replay(options, stop); };
+}
+
+Verb add_info(CLI::App& app, std::vector<std::string>& files) {
+  CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
+  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(is_file);
+  verb.footer("Example: crumple info recordings/pole.mcap");
+  return [&files] { return info(files); };
+}
+
+Verb add_recover(CLI::App& app, RecoverOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
+  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(is_file);
+  verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
+  verb.footer(
+      "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
+      "end.\n"
+      "Example: crumple recover killed.mcap -o whole.mcap");
+  return [&options] { return recover(options); };
+}
+
+Verb add_export(CLI::App& app, ExportOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
+  verb.add_option("FILE", options.file, "recording")->required()->check(is_file);
+  verb.add_option("-o,--output", options.folder,
+                  "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
+      ->required()
+      ->type_name("FOLDER");
+  verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
+      ->check(CLI::Range(0.1, 1000.0))
+      ->capture_default_str();
+  verb.footer("Example: crumple export today.mcap -o today");
+  return [&options] { return export_recording(options); };
+}
+
+Verb add_render(CLI::App& app) {
+  CLI::App& verb = *app.add_subcommand("render", "Draws a recording: an animation in slow motion, a contact sheet, charts");
+  verb.set_help_flag();
+  verb.prefix_command();
+  return [&verb] { return render(verb.remaining()); };
+}
+
+}  // namespace
+
+int run(int argc, const char* const* argv) {
+  BakeCommandOptions bake_options;
+  ServeOptions serve_options;
+  ViewOptions view_options;
+  ReplayOptions replay_options;
+  std::vector<std::string> info_files;
+  RecoverOptions recover_options;
+  ExportOptions export_options;
+
+  CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
+  app.require_subcommand(1);
+  app.set_version_flag("--version", program_name);
+  app.footer(
+      "A session, each line in its own terminal:\n"
+      "  crumple bake built-in -o car.car\n"
+      "  crumple serve --car car.car --record today.mcap\n"
+      "  crumple view\n"
+      "  crumple drive clients/scenes/pole.json --car car.car\n"
+      "then: crumple replay today.mcap --verify\n"
+      "Each verb explains itself: crumple VERB --help");
+  const std::vector<Verb> verbs = {
+      add_bake(app, bake_options),
+      add_serve(app, serve_options),
+      add_client(app, "drive", "A scripted host: drives a car into things and says what became of it"),
+      add_client(app, "watch", "A viewer: prints once a second what it holds of each car"),
+      add_view(app, view_options),
+      add_replay(app, replay_options),
+      add_info(app, info_files),
+      add_recover(app, recover_options),
+      add_export(app, export_options),
+      add_render(app)};
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& asked) {  // --help, --version
+    return app.exit(asked);
+  } catch (const CLI::ParseError& error) {
+    const auto chosen = app.get_subcommands();
+    const std::string verb = chosen.empty() ? "" : " " + chosen.front()->get_name();
+    std::fprintf(stderr, "crumple%s: %s\nTry: crumple%s --help\n", verb.c_str(), error.what(), verb.c_str());
+    return 2;
+  }
+  std::signal(SIGINT, on_signal);
+  std::signal(SIGTERM, on_signal);
+  std::signal(SIGXFSZ, SIG_IGN);  // a file at the limit of this process cannot be written: a sentence, not the end
+  const auto all = app.get_subcommands({});
+  for (size_t i = 0; i < verbs.size(); ++i)
+    if (all[i]->parsed()) return verbs[i]();
+  return 2;
+}
+
+}  // namespace crumple

@@ -1,0 +1,58 @@
+// What browsers ask of the gateway where they may command: commands on cars, passed on as they are, and cars painted anew.
+//   POST /command/car/{car}   Command                          the server's Answer
+//   POST /paint/{hash}        schema/regions.fbs as JSON       the baked car, which the scene's server was given
+// Whatever is refused comes with a status of 4xx or 5xx and a sentence.
+#pragma once
+
+#include <functional>
+#include <future>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "car/car.h"
+#include "io/transport.h"
+
+namespace crumple {
+
+// The parameters of a car with ranges, units and defaults, as JSON; control: whether the page may set them.
+std::string parameters_json(bool control);
+
+class Control {
+ public:
+  using Bytes = std::shared_ptr<const std::vector<uint8_t>>;
+  // shown: the baked car of this hash; null: none. painted: takes one that the scene's server has been given.
+  using Shown = std::function<Bytes(const std::string& hash)>;
+  using Painted = std::function<void(const crumple::Car&)>;
+  Control(Net*, Web*, std::string root, Shown, Painted);
+  // Takes what browsers have asked, and answers what is done.
+  void work();
+  // Whether the event belonged to a question of this one.
+  bool take_reply(const NetEvent&);
+
+ private:
+  using Car = std::shared_ptr<const crumple::Car>;
+  struct Passed {
+    uint64_t ticket;
+    Car car;  // what is given; null: a command
+  };
+  void take(const WebRequest&);
+  void command(const WebRequest&, const std::string& car);
+  void give(uint64_t ticket, const Car&);
+  void pass(const Passed&, const std::string& key, std::span<const uint8_t>);
+  void refuse(uint64_t ticket, uint16_t status, const std::string& sentence);
+
+  Net* net_;
+  Web* web_;
+  std::string root_;
+  Shown shown_;
+  Painted painted_;
+  std::optional<std::pair<uint64_t, std::future<Car>>> painting_;  // its ticket; one at a time
+  std::map<uint64_t, Passed> passed_;                              // by the ticket of net_get
+};
+
+}  // namespace crumple

@@ -1,0 +1,318 @@
+#include "recording/recording.h"
+
+#include <algorithm>
+#include <charconv>
+#include <cstring>
+#include <stdexcept>
+
+#include "wire/decode.h"
+#include "wire/encode.h"
+
+// The schema of all messages, in the file: a recording explains itself to any MCAP tool.
+asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSAGE_BFBS "\"\nmessage_schema_end:\n.popsection");
+extern "C" const uint8_t message_schema[], message_schema_end[];
+
+namespace crumple {
+
+const char* const program_name = "crumple 0.1.0+" CRUMPLE_PHYSICS;
+
+namespace {
+
+constexpr const char* head_name = "crumple";
+constexpr const char* counted = "counted";  // what the head says under "end"
+// A reader takes records of up to 256 MiB, and a world of many damaged cars is longer.
+constexpr size_t world_piece = size_t{64} << 20;
+
+template <class Visit>
+void visit_limits(Limits& limits, Visit visit) {
+  visit("limit_cars", limits.cars);
+  visit("limit_hosts", limits.hosts);
+  visit("limit_obstacles_per_host", limits.obstacles_per_host);
+  visit("limit_hull_points_per_host", limits.hull_points_per_host);
+  visit("limit_message_size", limits.message_size);
+  visit("limit_id_length", limits.id_length);
+  visit("limit_farthest", limits.farthest);
+  visit("limit_fastest", limits.fastest);
+  visit("limit_fastest_turn", limits.fastest_turn);
+  visit("limit_thinnest", limits.thinnest);
+  visit("limit_widest", limits.widest);
+  visit("limit_roughest", limits.roughest);
+  visit("limit_heaviest", limits.heaviest);
+  visit("limit_greatest_inertia", limits.greatest_inertia);
+  visit("limit_farthest_center", limits.farthest_center);
+}
+
+template <class Number>
+std::string text_of(Number value) {  // the shortest that reads back as the same bits
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, value).ptr};
+}
+
+template <class Number>
+bool read_number(const std::string& text, Number& value) {
+  return std::from_chars(text.data(), text.data() + text.size(), value).ec == std::errc();
+}
+
+void need(int status) {
+  if (status < 0) throw std::runtime_error(transport_error());
+}
+
+}  // namespace
+
+const char* table_of(Channel channel) {
+  switch (channel) {
+    case Channel::poses:
+      return "crumple.schema.Poses";
+    case Channel::obstacles:
+      return "crumple.schema.Obstacles";
+    case Channel::budget:
+      return "crumple.schema.Budget";
+    case Channel::asset:
+      return "crumple.schema.Asset";
+    case Channel::command:
+      return "crumple.schema.Command";
+    case Channel::reactions:
+      return "crumple.schema.Reactions";
+    case Channel::keyframe:
+      return "crumple.schema.Keyframe";
+    case Channel::delta:
+      return "crumple.schema.Delta";
+    case Channel::answer:
+      return "crumple.schema.Answer";
+    case Channel::health:
+      return "crumple.schema.Health";
+    case Channel::tick_end:
+      return "crumple.schema.TickEnd";
+    default:
+      return "";
+  }
+}
+
+std::string recorded_key(const Message& message) {
+  if (message.ticket == 0) return message.key;
+  return channel_of(message.key) == Channel::command ? message.key + "/answer" : "";
+}
+
+RecordingEnd end_of(Reader* reader) {
+  RecordingEnd end;
+  const char* name;
+  const char* const* pairs;
+  for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i) {
+    std::map<std::string, std::string> values;
+    for (; pairs[0]; pairs += 2) values[pairs[0]] = pairs[1];
+    if (std::strcmp(name, head_name) == 0) end.expected = values["end"] == counted;
+    if (std::strcmp(name, end_name) != 0) continue;
+    end.there = read_number(values["ticks"], end.ticks) && read_number(values["messages"], end.messages);
+    end.recovered = values["recovered"] == "yes";
+  }
+  return end;
+}
+
+std::string trouble_at_end(const RecordingEnd& end, uint64_t ticks, uint64_t messages) {
+  if (!end.there && end.expected)
+    return "it lacks its end, which says how many ticks there were: it was cut off and then closed by another program, and "
+           "`crumple recover` makes a whole one of what is left";
+  if (!end.there || (ticks >= end.ticks && messages >= end.messages)) return "";
+  return std::to_string(end.ticks) + " ticks and " + std::to_string(end.messages) + " messages were recorded, and only " +
+         std::to_string(ticks) + " and " + std::to_string(messages) + " are in the file: the others were taken out";
+}
+
+void write_end(Recorder* recorder, const RecordingEnd& end) {
+  const std::string ticks = text_of(end.ticks), messages = text_of(end.messages);
+  const char* const pairs[] = {"ticks", ticks.c_str(), "messages", messages.c_str(), "recovered", end.recovered ? "yes" : "no",
+                               nullptr};
+  when_there_is_room([&] { return recorder_metadata(recorder, end_name, pairs); });
+}
+
+Recording::Recording(const std::string& path, const RecordingHead& head, const RecordingBounds& bounds)
+    : root_(root_of(head.scene)), bounds_(bounds) {
+  need(recorder_open(path.c_str(), "crumple", head.program.c_str(), &recorder_));
+  try {
+    write_head(head);
+  } catch (...) {
+    recorder_close(recorder_);
+    throw;
+  }
+}
+
+void Recording::write_head(const RecordingHead& head) {
+  std::vector<std::string> pairs = {"program", head.program,          "scene", head.scene,
+                                    "started", head.started,          "rate",  text_of(head.rate),
+                                    "quantum", text_of(head.quantum), "end",   counted};
+  Limits limits = head.limits;
+  visit_limits(limits, [&](const char* name, auto& value) { pairs.insert(pairs.end(), {name, text_of(value)}); });
+  std::vector<const char*> pointers;
+  for (const std::string& text : pairs) pointers.push_back(text.c_str());
+  pointers.push_back(nullptr);
+  need(recorder_metadata(recorder_, head_name, pointers.data()));
+  for (const auto& car : head.cars)
+    need(recorder_attach(recorder_, car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
+  for (const auto& car : head.given)
+    need(recorder_attach(recorder_, car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
+  for (std::span<const std::byte> rest(head.world); !rest.empty();) {
+    const auto piece = rest.first(std::min(rest.size(), world_piece));
+    need(recorder_attach(recorder_, "world", world_media_type, piece.data(), piece.size()));
+    rest = rest.subspan(piece.size());
+  }
+}
+
+Recording::~Recording() { close(); }
+
+std::string Recording::close() {
+  if (!recorder_) return {};
+  write_end(recorder_, end_);
+  const bool good = recorder_close(recorder_) == 0;
+  recorder_ = nullptr;
+  return good ? "" : transport_error();
+}
+
+bool Recording::full() const {
+  return channels_.size() >= bounds_.next_channels || recorder_index(recorder_) >= bounds_.next_index;
+}
+
+int Recording::refuse(const std::string& why) {
+  if (why_lost_.empty()) why_lost_ = why;
+  return TRANSPORT_DROPPED;
+}
+
+// What a full queue refuses is asked for again with the next message.
+int Recording::id_of(const std::string& key, Channel channel) {
+  if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
+  if (channels_.size() >= bounds_.most_channels)
+    return refuse("cars and hosts came with more than " + std::to_string(bounds_.most_channels) +
+                  " keys before it could go on in another file; name cars and hosts again that are gone");
+  const char* table = table_of(channel);
+  auto schema = schemas_.find(table);
+  if (schema == schemas_.end()) {
+    const auto length = static_cast<size_t>(message_schema_end - message_schema);
+    const int id = recorder_schema(recorder_, table, message_schema, length);
+    if (id < 0) return refuse(transport_error());
+    schema = schemas_.emplace(table, id).first;
+  }
+  const int id = recorder_channel(recorder_, (root_ + key).c_str(), schema->second);
+  if (id < 0) return refuse(transport_error());
+  return channels_.emplace(key, id).first->second;
+}
+
+bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
+  int id = TRANSPORT_DROPPED;
+  if (recorder_index(recorder_) < bounds_.most_index)
+    id = id_of(key, channel);
+  else
+    refuse("its index takes " + std::to_string(bounds_.most_index >> 20) +
+           " MiB of memory, and it could not go on in another file; give --record a folder where one can be made");
+  if (id < 0) {
+    ++refused_;
+    return false;
+  }
+  if (recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) < 0) {
+    refuse(transport_error());
+    return false;
+  }
+  ++end_.messages;
+  return true;
+}
+
+void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {
+  const Channel channel = channel_of(message.key);
+  if (!is_input(channel)) return;
+  lost_inputs_ += !write(message.key, channel, tick, time_ns, message.bytes.data(), message.bytes.size());
+}
+
+void Recording::output(uint64_t tick, const Message& message, uint64_t time_ns) {
+  const std::string key = recorded_key(message);
+  if (key.empty()) return;
+  const Channel channel = channel_of(key);
+  const bool written = write(key, channel, tick, time_ns, message.bytes.data(), message.bytes.size());
+  lost_outputs_ += !written && channel != Channel::health;  // which no tick gives
+}
+
+void Recording::end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns) {
+  const Bytes end = encode_tick_end({tick, hash, lost_inputs_, lost_outputs_});
+  if (!write("tick", Channel::tick_end, tick, time_ns, end.data(), end.size())) return;
+  lost_inputs_ = lost_outputs_ = 0;
+  ++end_.ticks;
+}
+
+RecordingReader::RecordingReader(const std::string& path) : path_(path) {
+  if (reader_open(path.c_str(), &reader_) < 0) throw std::runtime_error(transport_error());
+  try {
+    read_metadata();
+    const char *name, *type;
+    const uint8_t* data;
+    size_t size;
+    for (uint32_t i = 0; reader_attachment(reader_, i, &name, &type, &data, &size) == 1; ++i) {
+      const auto* bytes = reinterpret_cast<const std::byte*>(data);
+      if (std::strcmp(type, car_media_type) == 0)
+        head_.cars.push_back(read_car({bytes, size}, path + " (recorded by " + head_.program + "): attachment " + name));
+      if (std::strcmp(type, given_media_type) == 0) given_[name] = read_car({bytes, size}, path + ": attachment " + name);
+      if (std::strcmp(type, world_media_type) == 0) head_.world.insert(head_.world.end(), bytes, bytes + size);
+    }
+  } catch (...) {
+    reader_close(reader_);
+    throw;
+  }
+}
+
+RecordingReader::~RecordingReader() { reader_close(reader_); }
+
+void RecordingReader::read_metadata() {
+  const char* name;
+  const char* const* pairs;
+  for (uint32_t i = 0; reader_metadata(reader_, i, &name, &pairs) == 1; ++i) {
+    if (std::strcmp(name, head_name) != 0) continue;
+    std::map<std::string, std::string> values;
+    for (; pairs[0]; pairs += 2) values[pairs[0]] = pairs[1];
+    head_.program = values["program"];
+    head_.scene = values["scene"];
+    head_.started = values["started"];
+    bool good = read_number(values["rate"], head_.rate) && read_number(values["quantum"], head_.quantum);
+    good &= head_.rate >= 1 && head_.rate <= 1000 && head_.quantum > 0;
+    visit_limits(head_.limits, [&](const char* key, auto& value) { good &= read_number(values[key], value); });
+    if (!good)
+      throw std::runtime_error(path_ + ": its metadata lacks the rate, the quantum or a limit: it was recorded by " +
+                               head_.program + ", this is " + program_name + ": use that one");
+    root_ = root_of(head_.scene);
+    return;
+  }
+  throw std::runtime_error(path_ + ": has no metadata \"crumple\": it is not a recording of `crumple serve --record`");
+}
+
+bool RecordingReader::next(Item& item) {
+  ReaderMessage message;
+  const int status = reader_next(reader_, &message);
+  need(status);
+  if (status == 0) return false;
+  item.key = message.topic;
+  item.channel = Channel::other;
+  if (item.key.starts_with(root_)) {
+    item.key.remove_prefix(root_.size());
+    item.channel = channel_of(item.key);
+  }
+  item.bytes = {message.data, message.size};
+  item.tick = message.sequence;
+  item.time_ns = message.log_time_ns;
+  if (item.channel == Channel::asset) take_asset(item.bytes);
+  return true;
+}
+
+// One that the world refused is none here either.
+void RecordingReader::take_asset(std::span<const uint8_t> bytes) {
+  GivenAsset asset;
+  if (decode(std::as_bytes(bytes), head_.limits, asset)) return;
+  try {
+    const auto car = read_car(asset.car, path_);
+    given_[car->hash] = car;
+  } catch (const std::runtime_error&) {
+  }
+}
+
+std::vector<std::shared_ptr<const Car>> RecordingReader::cars() const {
+  auto all = head_.cars;
+  for (const auto& [hash, car] : given_) all.push_back(car);
+  return all;
+}
+
+void RecordingReader::rewind() { need(reader_rewind(reader_)); }
+
+}  // namespace crumple

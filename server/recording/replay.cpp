@@ -1,0 +1,179 @@
+#include "recording/replay.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <stdexcept>
+#include <thread>
+
+#include "recording/film.h"
+#include "recording/recording.h"
+#include "tick/snapshot.h"
+#include "wire/decode.h"
+
+namespace crumple {
+namespace {
+
+struct Verdict {
+  uint64_t identical = 0;                  // ticks
+  uint64_t differs = 0;                    // first differing tick; 0: none
+  std::string how;                         // it differs
+  uint64_t lost = 0;                       // first tick before whose end something is not in the file; 0: none
+  uint64_t outputs_lost = 0, lost_in = 0;  // messages that ticks gave and the file does not have; in which tick first
+  uint64_t messages = 0;                   // in the file
+};
+
+// A message that a tick gave.
+struct Told {
+  std::string key;
+  std::vector<std::byte> bytes;
+  uint32_t tick = 0;
+  bool operator==(const Told&) const = default;
+};
+
+void add_told(const Outbox& outbox, uint64_t tick, std::vector<Told>& told) {
+  for (const Message& message : outbox)
+    if (const std::string key = recorded_key(message); !key.empty()) told.push_back({key, message.bytes, uint32_t(tick)});
+}
+
+void sort_by_key(std::vector<Told>& told) {
+  std::stable_sort(told.begin(), told.end(), [](const Told& a, const Told& b) { return a.key < b.key; });
+}
+
+// The first key of which other messages were recorded than were given, and what is wrong with it; "": none. Of those given so
+// many may be lost. Other programs may write keys in another order, but the messages of one in the same.
+std::string difference(std::vector<Told>& given, std::vector<Told>& recorded, uint64_t lost) {
+  sort_by_key(given);
+  sort_by_key(recorded);
+  auto want = given.begin(), has = recorded.begin();
+  while (want != given.end() || has != recorded.end()) {
+    const bool missing = has == recorded.end() || (want != given.end() && want->key < has->key);
+    if (!missing && want != given.end() && *want == *has) {
+      ++want, ++has;
+    } else if (want != given.end() && lost > 0 && want->key <= (missing ? want : has)->key) {
+      ++want, --lost;
+    } else if (missing) {
+      return want->key + " (missing)";
+    } else if (want == given.end() || has->key < want->key) {
+      return has->key + " (the tick gives none)";
+    } else {
+      return has->key + (has->bytes == want->bytes ? " (of another tick)" : " (other bytes)");
+    }
+  }
+  return "";
+}
+
+bool is_told(Channel channel) {
+  return !is_input(channel) && channel != Channel::health && channel != Channel::tick_end && channel != Channel::other;
+}
+
+void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, Verdict& verdict) {
+  const RecordingHead& head = file.head();
+  const WorldHandle world = make_world(head.rate, head.quantum, head.limits);
+  for (const auto& car : head.cars) add_asset(*world, car);
+  if (!head.world.empty()) load_world(head.world, *world);
+  Inbox inbox;
+  Outbox outbox;
+  std::vector<Told> given, recorded;
+  shown(*world, outbox);
+  add_told(outbox, tick_count(*world), given);
+  for (RecordingReader::Item item; !stop && file.next(item);) {
+    ++verdict.messages;
+    const auto bytes = std::as_bytes(item.bytes);
+    if (is_told(item.channel)) {
+      recorded.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.tick});
+    } else if (is_input(item.channel) && item.tick == uint32_t(tick_count(*world) + 1)) {
+      // Any ticket will do: it only asks for an answer.
+      inbox.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.channel == Channel::command ? 1u : 0u});
+    } else if (item.channel == Channel::tick_end) {
+      TickEnd end;
+      if (decode(bytes, end)) throw std::runtime_error("a TickEnd is damaged");
+      if (end.lost_inputs > 0 || end.tick != tick_count(*world) + 1) {
+        verdict.lost = end.tick;
+        return;
+      }
+      tick(*world, inbox, outbox, threads);
+      inbox.clear();
+      add_told(outbox, end.tick, given);
+      const std::string key = difference(given, recorded, end.lost_outputs);
+      given.clear();
+      recorded.clear();
+      const bool same = hash(*world) == end.hash;
+      if (!same || !key.empty()) {
+        verdict.differs = end.tick;
+        verdict.how = key.empty() ? "" : " in " + key;
+        verdict.how += same ? "; the world's hash is the same" : "; the world's hash is another";
+        return;
+      }
+      if (end.lost_outputs > 0 && verdict.outputs_lost == 0) verdict.lost_in = end.tick;
+      verdict.outputs_lost += end.lost_outputs;
+      ++verdict.identical;
+    }
+  }
+}
+
+// One sentence; good: nothing is wrong, as far as the file goes.
+std::string sentence_of(const RecordingReader& file, const Verdict& verdict, const std::string& time, bool& good) {
+  const std::string ticks = std::to_string(verdict.identical), &recorder = file.head().program;
+  good = false;
+  if (verdict.lost)
+    return ticks + " ticks identical; tick " + std::to_string(verdict.lost) +
+           " lost inputs when it was recorded: what follows cannot be verified";
+  if (verdict.differs)
+    return "tick " + std::to_string(verdict.differs) + " differs" + verdict.how + ", after " + ticks +
+           " identical ones; recorded by " + recorder +
+           (recorder == program_name ? ", as this is: the file was changed, or this machine computes otherwise"
+                                     : std::string(", this is ") + program_name + ": verify it with that one");
+  const RecordingEnd end = file.end();
+  std::string trouble = file.cut() ? "" : trouble_at_end(end, verdict.identical, verdict.messages);
+  if (verdict.identical == 0)
+    return "holds no whole tick, there is nothing to verify" + std::string(file.cut() ? "; the file was cut off" : "");
+  if (trouble.empty() && verdict.outputs_lost > 0)
+    trouble = "of what they gave " + std::to_string(verdict.outputs_lost) +
+              " messages were lost when it was recorded, the first in tick " + std::to_string(verdict.lost_in);
+  good = trouble.empty();
+  if (!good || file.cut())
+    return "the first " + ticks + (end.ticks > verdict.identical ? " of " + std::to_string(end.ticks) : "") +
+           " ticks are identical" + time + "; " +
+           (good ? "the file was cut off, or is still being written: what followed is not in it" : trouble);
+  std::string note;
+  if (end.recovered)
+    note = "; recovered: what else there was when it was recorded is not in it";
+  else if (!end.there)
+    note = "; recorded by an older program: what may be missing at its end cannot be seen";
+  return "every tick identical: " + ticks + " ticks" + time + note;
+}
+
+bool verify_file(const std::string& path, int threads, const std::atomic<bool>& stop) {
+  RecordingReader file(path);
+  const auto start = std::chrono::steady_clock::now();
+  Verdict verdict;
+  try {
+    verify(file, threads, stop, verdict);
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(error.what() + ("; the first " + std::to_string(verdict.identical) + " ticks are identical"));
+  }
+  if (stop) return false;
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  char time[100];
+  std::snprintf(time, sizeof time, " (%.1f s) in %.1f s, %d thread%s",
+                static_cast<double>(verdict.identical) / file.head().rate, seconds, threads, threads == 1 ? "" : "s");
+  bool good = false;
+  std::printf("%s: %s\n", path.c_str(), sentence_of(file, verdict, time, good).c_str());
+  std::fflush(stdout);
+  return good;
+}
+
+}  // namespace
+
+int replay(const ReplayOptions& options, const std::atomic<bool>& stop) {
+  const int threads =
+      options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  bool good = true;
+  if (options.verify)
+    for (const std::string& path : options.files) good &= verify_file(path, threads, stop);
+  if (options.publish) show_films(options, stop);
+  return good ? 0 : 1;
+}
+
+}  // namespace crumple

@@ -1,0 +1,158 @@
+// The time budget of a tick: so many tet visits, and no more. In: what each car's last tick took and left undone, and the
+// importance that its host gives it. Out: how many sub-steps, and how many sweeps in each, every car may make in this one.
+// Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the mixing (two of
+// them) at a time, and then half of the sub-steps where the mesh is too coarse to show them. Law: under the budget every car
+// makes what it likes.
+#include <algorithm>
+#include <cmath>
+
+#include "sim/nodal.h"
+#include "tick/state.h"
+#include "wire/encode.h"
+
+namespace crumple {
+namespace {
+
+// What a sub-step, and a tick, take beside the sweeps: in sweeps over all tets.
+constexpr double substep_costs = 3, tick_costs = 5;
+
+// Sweeps that a sub-step is left at least; the second step is the first that can be mixed. At 50 km/h, 4,642 nodes end with 4
+// sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 % (bench/page.md).
+// A longer sub-step needs more of them: 1,071 nodes end in a wall with 2 sub-steps of 6 sweeps 13 % off, of 8 sweeps 2.4 %,
+// which is what 4 sub-steps of 4 are. Where a wave has crossed the mesh by then it does not: 335 nodes are 3.2 % off with 4
+// sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, of 8 sweeps 6.1 (bench/scene.cpp).
+constexpr int step = sweeps_a_step, fewest = 2 * step, fewest_of_halved = 4 * step;
+constexpr size_t few_nodes = 500;
+constexpr double longest_way = 0.8;  // of a sub-step, against an obstacle, in edges of the mesh
+constexpr int usual = 8;             // sweeps of a car that is only now woken: about what the default tolerance asks for
+constexpr double worth = 2;          // how much larger the residual is without the last step
+
+struct Plan {
+  int substeps, sweeps;  // the former in 1/60 s
+};
+
+struct Share {
+  Instance* car;
+  size_t order;    // among equals
+  Plan plan;       // what it asks for, then what it is left
+  double seconds;  // of a tick
+  double halved;   // sub-steps that deform() makes of one
+  double awake, tets;
+  double loss = 0;  // importance * m of residual per tet visit saved, of what is taken away next
+
+  double work(const Plan& of) const {
+    return substep_count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+  }
+};
+
+int fewest_sweeps(const Instance& car, int substeps) {
+  const bool longer = substeps < int(car.parameters.substeps) && car.car->model.node.size() >= few_nodes;
+  return longer ? fewest_of_halved : fewest;
+}
+
+bool may_halve(const Instance& car, int substeps, double seconds) {
+  if (substeps % 2 != 0 || substep_count(substeps / 2, seconds) == substep_count(substeps, seconds)) return false;
+  Parameters halved = car.parameters;
+  halved.substeps = uint16_t(substeps / 2);
+  return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
+}
+
+// What is taken away next; the same plan if there is nothing.
+Plan less(const Share& share) {
+  const Instance& car = *share.car;
+  const Plan now = share.plan;
+  const int least = fewest_sweeps(car, now.substeps);
+  if (now.sweeps > least) return {now.substeps, now.sweeps - std::min(step, now.sweeps - least)};
+  if (!may_halve(car, now.substeps, share.seconds)) return now;
+  const int sweeps = std::min(fewest_sweeps(car, now.substeps / 2), int(car.parameters.iterations));
+  return {now.substeps / 2, std::max(now.sweeps, sweeps)};
+}
+
+double saved(const Share& share) { return share.work(share.plan) - share.work(less(share)); }
+
+// What the car asks for.
+Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
+  const int most = car.parameters.iterations, substeps = car.parameters.substeps;
+  const Response& last = car.response;
+  const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
+  const double halved =
+      last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
+  const double all = double(lanes * car.car->blocks.group.size());  // a sweep visits them by the vector
+  Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), all, tets};
+  if (last.sweeps == 0) {
+    share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
+    residual = worst;
+    return share;
+  }
+  share.awake = std::min(all, double(last.work) / last.sweeps);  // it may be on another mesh now
+  if (car.fresh > 0) share.awake = all;
+  const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
+  // One that was kept short would have made more; how many more is seen by letting it.
+  share.plan.sweeps = std::min(most, used >= car.sweeps ? 2 * used : used);
+  if (car.fresh > 0) share.plan.sweeps = std::max(share.plan.sweeps, std::min(most, usual));
+  residual = double(last.residual) * car.substeps / substeps;  // of a shorter way
+  for (int k = used; k < share.plan.sweeps; k += step) residual /= worth;
+  return share;
+}
+
+void allow(Instance& car, const Plan& plan) {
+  car.substeps = uint16_t(plan.substeps);
+  car.sweeps = uint16_t(plan.sweeps);
+}
+
+}  // namespace
+
+double work_of(const Model& model, const Response& response) {
+  return double(response.work) + (substep_costs * response.substeps + tick_costs) * double(model.tet.size());
+}
+
+double crash_work(const World& world, const Instance& car, const Car& level) {
+  const int sweeps = std::min<int>(car.parameters.iterations, usual);
+  return double(level.model.tet.size()) *
+         (substep_count(car.parameters.substeps, 1 / world.rate) * (sweeps + substep_costs) + tick_costs);
+}
+
+void ration(World& world, const std::vector<Instance*>& cars) {
+  world.tally.shed = 0;
+  std::vector<Share> shares;
+  double asked = 0, worst = 0;
+  for (const Instance* car : cars) worst = std::max(worst, double(car->response.residual));
+  if (worst == 0) worst = 1;
+  for (size_t i = 0; i < cars.size() && world.budget > 0; ++i) {
+    Instance& car = *cars[i];
+    if (car.parameters.solver != Solver::nodal || (car.body.settled && car.fresh == 0)) continue;
+    double residual = 0;
+    Share share = ask(world, car, i, worst, residual);
+    asked += share.work(share.plan);
+    share.loss = double(car.importance) * residual * worth / std::max(1.0, saved(share));
+    shares.push_back(share);
+  }
+  for (Instance* car : cars) allow(*car, {car->parameters.substeps, car->parameters.iterations});
+  double left = asked - double(world.budget);
+  if (left <= 0) return;
+  for (Share& share : shares) {
+    if (share.car->fresh > 0) allow(*share.car, share.plan);
+  }
+  std::erase_if(shares, [](const Share& share) { return saved(share) <= 0; });
+  const auto later = [](const Share& a, const Share& b) { return a.loss != b.loss ? a.loss > b.loss : a.order > b.order; };
+  std::make_heap(shares.begin(), shares.end(), later);
+  while (left > 0 && !shares.empty()) {
+    std::pop_heap(shares.begin(), shares.end(), later);
+    Share& share = shares.back();
+    const double taken = saved(share);
+    share.plan = less(share);
+    allow(*share.car, share.plan);
+    left -= taken;
+    world.tally.shed += uint64_t(taken);
+    if (const double next = saved(share); next > 0) {
+      share.loss *= worth * taken / next;
+      std::push_heap(shares.begin(), shares.end(), later);
+    } else {
+      shares.pop_back();
+    }
+  }
+}
+
+Message budget_message(uint64_t visits) { return {"budget", encode_budget(visits)}; }
+
+}  // namespace crumple

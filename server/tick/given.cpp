@@ -1,0 +1,53 @@
+// Baked cars that came while the world runs: a car that was painted anew is driven without a new server. They are no levels of
+// others, so that what lives is not changed by what comes.
+#include <algorithm>
+
+#include "tick/state.h"
+
+namespace crumple {
+namespace {
+
+// Whoever may command may give, again and again: so many are kept (the size of one: given_most, world.h).
+constexpr size_t given_limit = 16, given_size_limit = size_t{64} << 20;  // cars; bytes of their files together
+
+bool drives(const World& world, const Levels& levels) {
+  return std::any_of(world.cars.begin(), world.cars.end(), [&](const auto& each) { return each.second.levels == &levels; });
+}
+
+bool has_room(const World& world, size_t size) {
+  for (const Levels& levels : world.given) size += levels.front()->bytes.size();
+  return world.given.size() < given_limit && size <= given_size_limit;
+}
+
+}  // namespace
+
+const Levels* find_asset(const World& world, const std::string& hash) {
+  if (const auto found = world.assets.find(hash); found != world.assets.end()) return &found->second;
+  const auto is_it = [&](const Levels& levels) { return levels.front()->hash == hash; };
+  const auto found = std::find_if(world.given.begin(), world.given.end(), is_it);
+  return found != world.given.end() ? &*found : nullptr;
+}
+
+Verdict give(World& world, std::shared_ptr<const Car> car) {
+  if (find_asset(world, car->hash)) return std::nullopt;
+  while (!has_room(world, car->bytes.size())) {
+    const auto unused =
+        std::find_if(world.given.begin(), world.given.end(), [&](const Levels& levels) { return !drives(world, levels); });
+    if (unused == world.given.end()) {
+      return Refusal{Reason::too_large, "asset: there is no room for one more baked car of " +
+                                            std::to_string(car->bytes.size()) +
+                                            " bytes beside those that are driven; despawn another first"};
+    }
+    world.given.erase(unused);
+  }
+  world.given.push_back({std::move(car)});
+  return std::nullopt;
+}
+
+std::vector<std::shared_ptr<const Car>> given_cars(const World& world) {
+  std::vector<std::shared_ptr<const Car>> cars;
+  for (const Levels& levels : world.given) cars.push_back(levels.front());
+  return cars;
+}
+
+}  // namespace crumple

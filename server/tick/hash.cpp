@@ -1,0 +1,70 @@
+// The hash of everything that the next tick depends on: two runs are the same if theirs are. What is large (body, surfaces) is
+// hashed where it changes, by the worker that changed it.
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+#include <cstring>
+
+#include "tick/fields.h"
+
+namespace crumple {
+namespace {
+
+// XXH64 of all that is walked. A field has some bytes, and a world of 1,000 cars 100,000 fields: they are gathered first.
+class Sum {
+ public:
+  static constexpr bool reads = false, sums = true;
+  Sum() { XXH64_reset(&state_, 0); }
+  void raw(const void* data, size_t size) {
+    if (size == 0) return;  // of an empty list, which may be nowhere
+    if (size > sizeof gathered_ - used_) {
+      flush();
+      if (size > sizeof gathered_) {
+        XXH64_update(&state_, data, size);
+        return;
+      }
+    }
+    std::memcpy(gathered_ + used_, data, size);
+    used_ += size;
+  }
+  template <class List>
+  void resize(const List& list) {
+    const uint64_t size = list.size();
+    raw(&size, sizeof size);
+  }
+  uint64_t value() {
+    flush();
+    return XXH64_digest(&state_);
+  }
+
+ private:
+  void flush() {
+    XXH64_update(&state_, gathered_, used_);
+    used_ = 0;
+  }
+
+  XXH64_state_t state_;
+  std::byte gathered_[4096];
+  size_t used_ = 0;
+};
+
+}  // namespace
+
+uint64_t hash(const World& of) {
+  World& world = const_cast<World&>(of);  // the list of fields serves who reads into it too; a sum only looks
+  Sum sum;
+  field(sum, world.rate, world.quantum);
+  field(sum, world);
+  for (const Levels& levels : world.given) {
+    std::string given = levels.front()->hash;
+    field(sum, given);
+  }
+  for (auto& [id, car] : world.cars) {
+    std::string name = id, shown = car.levels->front()->hash, level = car.car->hash;
+    field(sum, name, shown, level);
+    field(sum, car);
+  }
+  return sum.value();
+}
+
+}  // namespace crumple

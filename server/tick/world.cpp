@@ -1,0 +1,360 @@
+// The tick. Messages in; every car one tick on, side by side; then, in the order of their ids, what viewers and hosts are told.
+#include "tick/world.h"
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <numeric>
+#include <tuple>
+#include <utility>
+
+#include "tick/state.h"
+#include "wire/encode.h"
+
+namespace crumple {
+namespace {
+
+constexpr uint64_t reaction_echo =
+    30;  // ticks after the last touch in which a host is still told: one lost reaction is no loss
+
+constexpr uint8_t waking = 3;  // ticks in which what an obstacle has touched spreads over the body
+
+class RoomTimer final : public Timer {
+ public:
+  RoomTimer(const std::function<double()>& clock, StageTimes& times) : clock_(clock), times_(times) {}
+  void enter(Room room) override {
+    room_ = room;
+    start_ = clock_();
+  }
+  void leave() override { times_[size_t(Stage::contacts) + size_t(room_)] += clock_() - start_; }
+
+ private:
+  const std::function<double()>& clock_;
+  StageTimes& times_;
+  Room room_ = Room::contacts;
+  double start_ = 0;
+};
+static_assert(size_t(Stage::solve) == size_t(Stage::contacts) + size_t(Room::solve));
+static_assert(size_t(Stage::flow) == size_t(Stage::contacts) + size_t(Room::flow));
+
+bool touched(const Response& response) {
+  return response.contacts > 0 || response.deepest > 0 || !response.impulse.isZero(0) || !response.angular_impulse.isZero(0);
+}
+
+// Where the tick starts from: the motion after what the host has sent.
+void receive(const World& world, Instance& car) {
+  if (!car.intent) return;
+  const bool touching = car.touched_tick != 0 && car.touched_tick + 1 == world.tick;
+  car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
+  car.intent.reset();
+}
+
+// The rigid motion and the body, one tick on.
+void move(const World& world, Instance& car, Worker& worker) {
+  const Motion before = car.motion;
+  RoomTimer timer(world.clock, worker.times);
+  Parameters parameters = car.parameters;
+  parameters.iterations = car.sweeps;
+  parameters.substeps = car.substeps;
+  car.response = deform(car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
+                        car.motion, world.clock ? &timer : nullptr);
+  const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
+                                  car.motion.angular_velocity - before.angular_velocity};
+  if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) {
+    car.log.add(change);
+    car.hashes.log = hash(car.log);
+  }
+  if (touched(car.response)) car.touched_tick = world.tick;
+}
+
+// What the nodes that the skin of the spawned car uses are displaced by; where the body is on another level, by where that one
+// takes them.
+void displace_shown(const World& world, const Instance& car, std::vector<Vec3>& out) {
+  const Car& shown = *car.levels->front();
+  out.resize(shown.skin_node.size());
+  if (car.car->hash == shown.hash) {
+    displace(shown.model, car.body, shown.skin_node, out);
+  } else {
+    displace(car.car->model, world.level_maps.at({car.car->hash, shown.hash}), car.body, shown.skin_node, out);
+  }
+}
+
+float quantum_of(const World& world, size_t level) { return world.quantum * float(surface_levels[level].quanta); }
+
+// What its viewers are to be told of the car.
+void show(const World& world, Instance& car, Worker& worker) {
+  const Watch watch(world.clock, worker.times[size_t(Stage::surface)]);
+  displace_shown(world, car, worker.displaced);
+  worker.displacement.resize(3 * worker.displaced.size());
+  for (size_t level = 0; level < surface_levels.size(); ++level) {
+    Told& told = car.told[level];
+    // In turns, by their order. What has come to rest does not wait for its turn: it may have none for long.
+    const bool its_turn = (world.tick + car.order) % surface_levels[level].ticks == 0;
+    if (!its_turn && !car.body.settled && !told.due) continue;
+    const float quantum = quantum_of(world, level);
+    quantise(worker.displaced, quantum, worker.displacement);
+    const News& news = car.news[level] =
+        tell({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
+    if (news.kind == News::Kind::none) continue;
+    car.hashes.latest[level] = hash(told.latest);
+    if (news.kind == News::Kind::keyframe) car.hashes.keyframe[level] = car.hashes.latest[level];
+  }
+}
+
+// Where the car stands, and whether it will take part.
+void prepare_car(const World& world, Instance& car, Worker& worker) {
+  car.idle = car.idle && !world.obstacles_changed;
+  if (car.idle) return;
+  receive(world, car);
+  car.changed = false;
+  const bool woken =
+      world.budget > 0 && car.body.settled &&
+      wakes(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body, car.motion);
+  look_ahead(world, car, woken);
+  if (!car.body.settled && car.response.sweeps > 0) {
+    if (car.fresh > 0) --car.fresh;
+  } else {
+    car.fresh = !car.body.settled || woken ? waking : 0;
+  }
+}
+
+// What may change of a body that is not solved: an obstacle that it rests against goes on or leaves.
+auto of_rest(const Body& body) {
+  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment);
+}
+
+bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.angular_velocity.isZero(0); }
+
+void advance_car(const World& world, Instance& car, Worker& worker) {
+  if (car.idle) return;
+  const bool told = std::none_of(car.told.begin(), car.told.end(), [](const Told& each) { return each.due || each.flowing; });
+  const bool resting = car.body.settled && told && !car.changed;
+  const auto before = of_rest(car.body);
+  move(world, car, worker);
+  car.news = {};
+  const bool same_shape = resting && car.response.substeps == 0 && !car.response.recovered;
+  if (!same_shape) show(world, car, worker);
+  if (!same_shape || of_rest(car.body) != before) car.hashes.body = hash(car.body);
+  car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
+}
+
+// Cars know nothing of each other within a tick, so any number of workers gives the same.
+template <class Step>
+void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_once, const Step& step) {
+  world.arena->execute([&] {
+    tbb::parallel_for(
+        tbb::blocked_range<size_t>(0, cars.size(), at_once),
+        [&](const tbb::blocked_range<size_t>& range) {
+          Worker& worker = world.workers.local();
+          // While a car waits for its helpers this thread must not begin another car with the same memory.
+          tbb::this_task_arena::isolate([&] {
+            for (size_t i = range.begin(); i < range.end(); ++i) step(world, *cars[i], worker);
+          });
+        },
+        tbb::simple_partitioner{});
+  });
+}
+
+void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
+  tally.work = 0;
+  for (const Instance* car : cars) {
+    const Response& response = car->response;
+    tally.contact_overflows += response.contact_overflow;
+    tally.recoveries += response.recovered;
+    if (response.substeps > 0) tally.work += uint64_t(work_of(car->car->model, response));
+    if (response.sweeps == 0) continue;
+    ++tally.solved;
+    tally.residual_sum += double(response.residual);
+    tally.residual_worst = std::max(tally.residual_worst, double(response.residual));
+  }
+  tally.most_work = std::max(tally.most_work, tally.work);
+  tally.work_shed += tally.shed;
+}
+
+void open_arena(World& world, int threads) {
+  if (world.arena && world.arena_threads == threads) return;
+  world.arena.emplace(threads);
+  world.arena_threads = threads;
+}
+
+// A tick of an undamaged car with a wall at its nose. Returns its work.
+uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
+  Body body = make_body(car.model);
+  Motion motion;
+  motion.velocity.x() = 15;  // m/s
+  float nose = 0;
+  for (const Vec3& node : car.model.node) nose = std::max(nose, node.x());
+  Obstacle wall;
+  make_box({1, 10, 10}, wall);
+  wall.pose.position.x() = double(nose) + 1;
+  return uint64_t(work_of(car.model, deform(car.model, {}, {}, {&wall, 1}, seconds, *worker.scratch, body, motion)));
+}
+
+void advance_cars(World& world, int threads) {
+  open_arena(world, threads);
+  std::vector<Instance*> cars;
+  for (auto& [id, car] : world.cars) {
+    car.order = cars.size();
+    cars.push_back(&car);
+  }
+  for_each_car(world, cars, 16, prepare_car);
+  for_each_car(world, choose_levels(world, cars), 1, change_level);
+  ration(world, cars);
+  for_each_car(world, cars, 1, advance_car);
+  for (Worker& worker : world.workers) {
+    for (size_t i = 0; i < worker.times.size(); ++i) world.tally.now[i] += worker.times[i];
+    worker.times = {};
+  }
+  tally_up(cars, world.tally);
+}
+
+void move_obstacles(World& world) {
+  world.obstacles_changed = false;
+  for (Obstacle& obstacle : world.obstacles) {
+    if (obstacle.velocity.isZero(0) && obstacle.angular_velocity.isZero(0)) continue;
+    world.obstacles_changed = true;
+    obstacle.pose = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, 1 / world.rate);
+  }
+}
+
+void tell_viewers(World& world, Outbox& outbox) {
+  for (auto& [id, car] : world.cars) {
+    for (size_t level = 0; level < surface_levels.size(); ++level) {
+      const char* kind = car.news[level].kind == News::Kind::keyframe ? "/key/" : "/delta/";
+      for (Bytes& part : car.news[level].parts) outbox.push_back({"car/" + id + kind + std::to_string(level), std::move(part)});
+    }
+    car.news = {};
+  }
+}
+
+void tell_hosts(const World& world, Outbox& outbox) {
+  std::map<std::string, std::vector<CarReaction>> reactions;
+  for (const auto& [id, car] : world.cars) {
+    const bool lately = car.touched_tick != 0 && world.tick - car.touched_tick <= reaction_echo;
+    if (!lately && car.body.settled) continue;
+    reactions[car.host].push_back({id, car.motion, car.response, car.body.absorbed, car.body.stored});
+  }
+  for (const auto& [host, cars] : reactions) {
+    outbox.push_back({"host/" + host + "/reactions", encode_reactions(world.tick, double(world.tick) / world.rate, cars)});
+  }
+}
+
+// The keyframe that the deltas refer to, whole: an answer may be longer than a sample.
+void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox) {
+  for (const Asked& one : asked) {
+    const auto found = world.cars.find(one.car);
+    if (found == world.cars.end()) {
+      const Refusal refusal{Reason::unknown_car, "car " + one.car + " does not live here; it has no keyframe"};
+      count(world, refusal);
+      answer(world, one.key, one.ticket, refusal, {}, true, outbox);
+      continue;
+    }
+    if (one.ticket == 0) continue;
+    const Instance& car = found->second;
+    const Told& told = car.told[one.level];
+    auto parts = encode_keyframe({told.keyframe_tick, car.levels->front()->hash, quantum_of(world, one.level)}, told.keyframe,
+                                 max_nodes);
+    outbox.push_back({one.key, std::move(parts.at(0)), one.ticket});
+  }
+}
+
+void close_tally(Tally& tally) {
+  ++tally.ticks;
+  for (size_t i = 0; i < tally.now.size(); ++i) {
+    tally.sum[i] += tally.now[i];
+    tally.worst[i] = std::max(tally.worst[i], tally.now[i]);
+  }
+  tally.now = {};
+}
+
+}  // namespace
+
+uint64_t warm_up(World& world, int threads) {
+  threads = std::max(1, threads);
+  open_arena(world, threads);
+  std::vector<uint64_t> work(size_t(threads), 0);  // by turn: one a thread
+  world.arena->execute([&] {
+    tbb::parallel_for(
+        tbb::blocked_range<int>(0, threads, 1),
+        [&](const tbb::blocked_range<int>& turn) {
+          Worker& worker = world.workers.local();
+          tbb::this_task_arena::isolate([&] {
+            for (const auto& [hash, levels] : world.assets)
+              work[size_t(turn.begin())] += crash_once(*levels.front(), 1 / world.rate, worker);
+          });
+        },
+        tbb::static_partitioner{});
+  });
+  return std::accumulate(work.begin(), work.end(), uint64_t{0});
+}
+
+TickResult tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {
+  StageTimes& times = world.tally.now;
+  std::vector<Asked> asked;
+  outbox.clear();
+  ++world.tick;
+  {
+    const Watch whole(world.clock, times[size_t(Stage::tick)]);
+    {
+      const Watch watch(world.clock, times[size_t(Stage::decode)]);
+      read(world, inbox, outbox, asked);
+    }
+    advance_cars(world, std::max(1, threads));
+    move_obstacles(world);
+    tell_viewers(world, outbox);
+    tell_hosts(world, outbox);
+    answer_asked(world, asked, outbox);
+  }
+  close_tally(world.tally);
+  TickResult result = std::exchange(world.result, {});
+  result.work = {world.tally.work, world.tally.shed};
+  return result;
+}
+
+uint64_t tick_count(const World& world) { return world.tick; }
+
+void renew(World& world) {
+  for (auto& [id, car] : world.cars) renew(car);
+}
+
+void renew(Instance& car) {
+  car.idle = false;
+  for (Told& told : car.told) told.due = true;
+}
+
+void shown(const World& world, Outbox& outbox) {
+  for (const auto& [id, car] : world.cars) {
+    for (size_t level = 0; level < surface_levels.size(); ++level) {
+      const Told& told = car.told[level];
+      const SurfaceHead head{told.keyframe_tick, car.levels->front()->hash, quantum_of(world, level)};
+      for (Bytes& part : encode_keyframe(head, told.keyframe))
+        outbox.push_back({"car/" + id + "/key/" + std::to_string(level), std::move(part)});
+    }
+  }
+}
+
+std::vector<std::string> cars(const World& world) {
+  std::vector<std::string> ids;
+  for (const auto& [id, car] : world.cars) ids.push_back(id);
+  return ids;
+}
+
+std::vector<std::string> hosts(const World& world) {
+  std::vector<std::string> ids;
+  for (const auto& [id, host] : world.hosts) ids.push_back(id);
+  return ids;
+}
+
+void set_clock(World& world, std::function<double()> clock) { world.clock = std::move(clock); }
+
+WorldHandle make_world(double rate, float quantum, const Limits& limits) {
+  WorldHandle world(new World);
+  world->rate = rate;
+  world->quantum = quantum;
+  world->limits = limits;
+  return world;
+}
+
+void WorldDeleter::operator()(World* world) const { delete world; }
+
+}  // namespace crumple
