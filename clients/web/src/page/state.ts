@@ -1,4 +1,4 @@
-// Has all that the page remembers, in one value. The parts of the page hand it over to each other and have no variables of their own.
+// Has all that the page remembers, in one value. The modules of the page hand it over to each other and have no variables themselves.
 import type { Film } from "../film.js";
 import type { Live } from "../live.js";
 import { Scene } from "../scene.js";
