@@ -21,11 +21,10 @@ struct Source {
   std::string text;
 };
 
-std::vector<Source> sources(const std::string& folder) {
+std::vector<Source> sources(const std::string& folder, const std::set<std::string>& extensions = {".cpp", ".h"}) {
   std::vector<Source> found;
   for (const auto& entry : fs::recursive_directory_iterator(root / folder)) {
-    const auto extension = entry.path().extension();
-    if (extension != ".cpp" && extension != ".h") continue;
+    if (!extensions.count(entry.path().extension())) continue;
     std::ifstream file(entry.path());
     found.push_back({fs::relative(entry.path(), root).string(), {std::istreambuf_iterator<char>(file), {}}});
   }
@@ -70,17 +69,56 @@ TEST(Layout, EachFolderIncludesOnlyThoseItMay) {
   EXPECT_GT(checked, 250);
 }
 
-// A row of the table above may name only rows of which none leads back to it.
-TEST(Layout, NoFolderIncludesItselfByWayOfOthers) {
-  std::map<std::string, std::set<std::string>> left = may_include;
-  for (auto& [folder, others] : left) others.erase(folder), others.erase("schema");
-  while (!left.empty()) {
-    const auto free = std::find_if(left.begin(), left.end(), [](const auto& each) { return each.second.empty(); });
-    ASSERT_NE(free, left.end()) << left.begin()->first << " and others include each other";
-    const std::string folder = free->first;
-    left.erase(free);
-    for (auto& [other, named] : left) named.erase(folder);
+// "A includes B includes A", or "" where what each includes leads nowhere back to it.
+std::string circle_in(std::map<std::string, std::set<std::string>> includes) {
+  const auto left = [&includes](const std::string& name) { return includes.contains(name); };
+  while (std::erase_if(includes, [&](const auto& each) { return std::ranges::none_of(each.second, left); }) > 0) {
   }
+  if (includes.empty()) return "";
+  // Everything that is left includes something that is left: a way along these comes round.
+  std::vector<std::string> way;
+  for (std::string at = includes.begin()->first; std::ranges::count(way, at) < 2;
+       at = *std::ranges::find_if(includes[at], left))
+    way.push_back(at);
+  way.erase(way.begin(), std::ranges::find(way, way.back()));
+  std::string circle = way.front();
+  for (size_t i = 1; i < way.size(); ++i) circle += " includes " + way[i];
+  return circle;
+}
+
+TEST(Layout, NoFolderIncludesItselfByWayOfOthers) {
+  auto others = may_include;
+  for (auto& [folder, names] : others) names.erase(folder);
+  EXPECT_EQ(circle_in(others), "");
+}
+
+// The modules of the web client that each of them imports, types too.
+std::map<std::string, std::set<std::string>> web_imports() {
+  const std::regex import("(?:from|import)[\\s(]*[\"'](\\.[^\"']+)\\.js[\"']");
+  std::map<std::string, std::set<std::string>> imports;
+  for (const Source& source : sources("clients/web/src", {".ts"})) {
+    std::set<std::string>& names = imports[source.name];
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), import), end; i != end; ++i)
+      names.insert((fs::path(source.name).parent_path() / ((*i)[1].str() + ".ts")).lexically_normal().string());
+  }
+  return imports;
+}
+
+TEST(Layout, NoModuleOfTheWebClientImportsItselfByWayOfOthers) {
+  EXPECT_GT(web_imports().size(), 10u);
+  EXPECT_EQ(circle_in(web_imports()), "");
+}
+
+TEST(Layout, ThePackageForBrowsersKnowsNothingOfThePageThatIsMadeWithIt) {
+  const std::string page = "clients/web/src/page/";
+  int checked = 0;
+  for (const auto& [name, others] : web_imports()) {
+    for (const std::string& other : others) {
+      EXPECT_TRUE(name.starts_with(page) || !other.starts_with(page)) << name << " imports " << other;
+      ++checked;
+    }
+  }
+  EXPECT_GT(checked, 50);
 }
 
 TEST(Layout, ClientsKnowNothingOfTheServerButProtocolViewerAndIo) {

@@ -1,5 +1,5 @@
-// Keyframe and delta decoding. The FlatBuffers verifier bounds every offset; what it cannot know (counts that must fit each
-// other, ranges inside the surface) is checked here before anything is written.
+// Decodes keyframes and deltas. The verifier of FlatBuffers bounds every offset. This file checks what the verifier cannot know
+// (counts that must fit each other, ranges in the surface) before it writes anything.
 #include "viewer/surface.h"
 
 #include <algorithm>
@@ -15,7 +15,7 @@ namespace {
 
 Outcome refuse(std::string why) { return {Applied::refused, std::move(why)}; }
 
-// Begins to gather another tick, from `base` (nothing: zeros), unless these parts belong to the tick being gathered.
+// Begins to gather another tick, from `base` (empty: zeros), unless the part belongs to the tick that is being gathered.
 void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathering& parts) {
   if (parts.tick == tick && parts.hash == hash && parts.quanta.size() == size) return;
   parts.tick = tick;
@@ -26,7 +26,7 @@ void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathe
     parts.quanta.assign(size, 0);
 }
 
-// What keyframes and deltas have in common: counts that fit each other and the part's numbers, or why it is refused.
+// Checks what keyframes and deltas have in common, writes the numbers of the part, and returns why it is refused, or NULL.
 template <class Message>
 const char* read_part(const Message& message, Quanta& out) {
   const uint32_t nodes = message.node_count(), count = message.count();
@@ -48,7 +48,7 @@ Outcome apply_keyframe(std::span<const uint8_t> bytes, Surface& surface) {
   if (!(message->quantum() > 0 && message->quantum() <= 1)) return refuse("quantum of a keyframe is not in (0, 1] m");
   if (message->asset()->size() != 16) return refuse("asset of a keyframe is not a hash of 16 digits");
 
-  // A keyframe of the very tick that deltas already gave is still wanted: as the base of what follows.
+  // Deltas may have given the surface of this very tick; the keyframe is still needed, because the next deltas are against it.
   const bool holds_key = !surface.key.empty();
   if (holds_key && message->tick() <= surface.key_tick) return {Applied::old, {}};
   if (message->tick() < surface.key_parts.tick && !surface.key_parts.quanta.empty()) return {Applied::old, {}};
