@@ -26,6 +26,8 @@
 #include "machine.h"
 #include "rooms.h"
 #include "sim/nodal.h"
+#include "tick/hash.h"
+#include "tick/levels.h"
 #include "tick/state.h"
 
 namespace {

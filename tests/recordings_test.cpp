@@ -14,6 +14,7 @@
 #include "io/transport.h"
 #include "program.h"
 #include "schema/message_generated.h"
+#include "tick/health.h"
 #include "tick/surface_update.h"
 
 namespace crumple {

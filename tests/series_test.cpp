@@ -12,6 +12,8 @@
 #include "box_car.h"
 #include "host.h"
 #include "program.h"
+#include "tick/hash.h"
+#include "tick/levels.h"
 
 namespace crumple {
 namespace {

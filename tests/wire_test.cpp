@@ -6,6 +6,7 @@
 #include <random>
 
 #include "host.h"
+#include "tick/levels.h"
 #include "tick/surface_update.h"
 #include "wire/encode.h"
 

@@ -8,6 +8,8 @@
 
 #include "recording/film.h"
 #include "recording/recording.h"
+#include "tick/hash.h"
+#include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "wire/decode.h"
 

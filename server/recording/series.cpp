@@ -11,6 +11,7 @@
 #include <system_error>
 #include <utility>
 
+#include "tick/given.h"
 #include "tick/snapshot.h"
 
 namespace crumple {

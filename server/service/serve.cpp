@@ -25,6 +25,11 @@
 #include "schema/message_generated.h"
 #include "service/metrics.h"
 #include "service/standby.h"
+#include "tick/budget.h"
+#include "tick/given.h"
+#include "tick/hash.h"
+#include "tick/health.h"
+#include "tick/levels.h"
 
 namespace crumple {
 namespace {

@@ -14,6 +14,7 @@
 #include "recording/answer.h"
 #include "recording/recording.h"
 #include "schema/message_generated.h"
+#include "tick/hash.h"
 #include "tick/snapshot.h"
 
 namespace crumple {

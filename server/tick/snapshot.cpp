@@ -11,6 +11,7 @@
 
 #include "sim/nodal.h"
 #include "tick/fields.h"
+#include "tick/given.h"
 #include "wire/check.h"
 
 namespace crumple {

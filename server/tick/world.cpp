@@ -8,6 +8,10 @@
 #include <tuple>
 #include <utility>
 
+#include "tick/budget.h"
+#include "tick/health.h"
+#include "tick/inbox.h"
+#include "tick/levels.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 

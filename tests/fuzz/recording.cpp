@@ -11,6 +11,9 @@
 #include "recording/export.h"
 #include "recording/recover.h"
 #include "recording/replay.h"
+#include "tick/budget.h"
+#include "tick/hash.h"
+#include "tick/health.h"
 #include "tick/snapshot.h"
 
 namespace crumple::fuzz {
