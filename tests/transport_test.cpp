@@ -411,7 +411,9 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
 // A scene that runs for a month with new cars each second: what they were told under their ids goes with them.
 TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   const Session peer = open_peer();
-  const auto key_of = [](int k) { return "t/" + std::to_string(k) + "/key"; };
+  // In branches of 90: zenoh compares a new key with each that stands beside it, and 8,192 of those take seconds.
+  const auto id = [](int k) { return "t/" + std::to_string(k / 90) + "/" + std::to_string(k % 90) + "/"; };
+  const auto key_of = [&](int k) { return id(k) + "key"; };
   ASSERT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
   int refused = 0, k = 0;
   for (; refused == 0; ++k) refused = put(peer, key_of(k).c_str(), "x");
@@ -420,7 +422,7 @@ TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   EXPECT_EQ(k, NET_KEYS);
   EXPECT_EQ(stats_of(peer).keys, uint64_t(NET_KEYS));
   EXPECT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
-  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), ("t/" + std::to_string(k) + "/").c_str()), TRANSPORT_OK);
+  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), id(k).c_str()), TRANSPORT_OK);
   EXPECT_EQ(stats_of(peer).keys, 1u);
 }
 
