@@ -38,6 +38,14 @@ void on_signal(int signal) {
 const CLI::Validator id(
     [](std::string& text) -> std::string { return is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule; }, "ID");
 
+const CLI::Validator scene(
+    [](std::string& text) -> std::string {
+      if (is_scene(text)) return "";
+      return is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
+                         : "\"" + text + "\" is not an id: use " + id_rule;
+    },
+    "ID");
+
 // A pipe may never end, and to open one waits until somebody writes.
 const CLI::Validator is_file(
     [](std::string& path) -> std::string {
@@ -135,7 +143,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->required()
       ->check(is_file)
       ->type_name("CAR");
-  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(scene)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
                   "network, by anyone unless --network says who")
@@ -199,7 +207,7 @@ Verb add_drive(CLI::App& app, client::DriveOptions& options) {
   verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
   verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
   verb.add_option("--id", options.id, "id of the car that is spawned")->check(id)->capture_default_str();
   verb.add_option("--preset", options.preset, "how the car bends, laid over the scene's parameters; see clients/presets")
@@ -214,7 +222,7 @@ Verb add_watch(CLI::App& app, client::WatchOptions& options) {
   CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
   verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
       ->check(CLI::Range(0, 1))
@@ -242,7 +250,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
                            ->capture_default_str();
   verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->excludes(file)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->excludes(file)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
                   "phone in the same network, and from whoever else is in it")
