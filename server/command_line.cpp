@@ -179,6 +179,12 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
           "its time, or with -2, -3, ...; 0: only when the index of one has grown to 32 MiB, or its keys to 32,768")
       ->check(CLI::Range(0.0, 60.0 * 24 * 365))
       ->capture_default_str();
+  verb.add_option("--record-most", options.record_most,
+                  "gigabytes of all --record files of this run: a quarter of it fills a file, and the oldest are removed; "
+                  "0: all are kept")
+      ->check(CLI::Range(0.0, 1e6))
+      ->type_name("GB")
+      ->capture_default_str();
   verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
       ->type_name("HOST:PORT");
   verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")

@@ -97,8 +97,9 @@ Contents read(const std::string& path) {
 }
 
 // Copies a recording as long as `change` gives true, which may change a message, and leaves those out whose topic it clears;
-// `program` takes the recorder's place if given.
-void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change) {
+// `program` takes the recorder's place if given; `more` messages follow.
+void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change,
+          const std::vector<Message>& more = {}) {
   Reader* reader = nullptr;
   Recorder* recorder = nullptr;
   EXPECT_EQ(reader_open(from.c_str(), &reader), 0) << transport_error();
@@ -118,9 +119,13 @@ void copy(const std::string& from, const std::string& to, const char* program, c
     recorder_attach(recorder, name, type, data, size);
   reader_close(reader);
   std::map<std::string, int> channels;
+  std::vector<Message> all;
   for (Message& m : read(from).messages) {
     if (!change(m)) break;
-    if (m.topic.empty()) continue;
+    if (!m.topic.empty()) all.push_back(std::move(m));
+  }
+  all.insert(all.end(), more.begin(), more.end());
+  for (const Message& m : all) {
     const auto [channel, fresh] = channels.try_emplace(m.topic);
     if (fresh)
       channel->second = recorder_channel(recorder, m.topic.c_str(),
@@ -575,6 +580,104 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   const Outcome verified = run({"replay", path("drained.mcap"), "--verify"});
   EXPECT_EQ(verified.code, 1) << verified.text;
   EXPECT_NE(verified.text.find("lost inputs when it was recorded"), std::string::npos) << verified.text;
+}
+
+// A server whose disk, but for the program and the car, can be made to hang.
+class DiskThatHangs : public Recorded {
+ protected:
+  void SetUp() override {
+#if defined(__SANITIZE_ADDRESS__)
+    GTEST_SKIP() << "its runtime must be the first library";
+#endif
+    Recorded::SetUp();
+    setenv("LD_PRELOAD", CRUMPLE_HANG, 1);  // of the programs that are started here
+    setenv("CRUMPLE_HANG", path("hang").c_str(), 1);
+  }
+  void TearDown() override {
+    unsetenv("LD_PRELOAD");
+    if (!folder.empty()) fs::remove(path("hang"));
+    Recorded::TearDown();
+  }
+  void hang() const { write("hang", ""); }
+};
+
+TEST_F(DiskThatHangs, NoTickWaitsForTheNextFile) {
+  start_server(path("long.mcap"), {"--record-minutes", "0.02"});  // 1.2 s
+  listen();
+  const Health before = after(30);
+  hang();
+  const Health meanwhile = after(before.tick + 180);
+  ASSERT_GE(meanwhile.tick, before.tick + 180);
+  fs::remove(path("hang"));
+  const auto deadline = Clock::now() + patience;
+  while (!fs::exists(path("long-2.mcap")) && Clock::now() < deadline) after(0);
+  after(meanwhile.tick + 60);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  uint32_t last = 0;
+  for (const char* name : {"long.mcap", "long-2.mcap"})
+    for (const Message& message : read(path(name)).messages)
+      if (message.is("TickEnd")) {
+        EXPECT_EQ(message.tick, ++last) << name;
+      }
+  EXPECT_GE(last, meanwhile.tick);
+}
+
+TEST_F(DiskThatHangs, AServerEndsInTimeAndSaysThatItsRecordingDoesNot) {
+  start_server(path("open.mcap"));
+  listen();
+  after(90);
+  hang();
+  const auto begun = Clock::now();
+  server->send(SIGTERM);
+  EXPECT_TRUE(server->read_until("open.mcap: the disk has not taken its end within 5 s")) << server->text;
+  EXPECT_EQ(server->wait(), 1) << server->text;
+  EXPECT_LT(Clock::now() - begun, std::chrono::seconds(20)) << "7 s on a machine that does nothing else";
+  fs::remove(path("hang"));
+  const Outcome verified = run({"replay", path("open.mcap"), "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+  EXPECT_NE(verified.text.find("cut off"), std::string::npos) << verified.text;
+}
+
+TEST_F(DiskThatHangs, WhoStandsByTakesOverAllTheSame) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  endpoint = net_endpoint(router.get());
+  std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", endpoint};
+  Process owner(arguments);
+  ASSERT_TRUE(owner.read_until("levels")) << owner.text;
+  arguments.insert(arguments.end(), {"--standby", "--record", path("after.mcap")});
+  Process standby(arguments);
+  ASSERT_TRUE(standby.read_until("holds the world")) << standby.text;
+  hang();
+  owner.send(SIGKILL);
+  ASSERT_TRUE(standby.read_until("takes over")) << standby.text;
+  listen();
+  const uint64_t tick = after(1).tick;
+  EXPECT_GT(after(tick + 60).tick, tick);
+  fs::remove(path("hang"));
+  standby.send(SIGTERM);
+  EXPECT_EQ(standby.wait(), 0) << standby.text;
+  const Outcome verified = run({"replay", path("after.mcap"), "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+}
+
+// Of a standby that was never needed.
+TEST_F(Recorded, AFileInWhichNothingBeganIsNotLeft) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", net_endpoint(router.get())};
+  Process owner(arguments);
+  ASSERT_TRUE(owner.read_until("levels")) << owner.text;
+  arguments.insert(arguments.end(), {"--standby", "--record", path("none.mcap")});
+  Process standby(arguments);
+  ASSERT_TRUE(standby.read_until("holds the world")) << standby.text;
+  EXPECT_TRUE(fs::exists(path("none.mcap")));
+  standby.send(SIGTERM);
+  EXPECT_EQ(standby.wait(), 0) << standby.text;
+  EXPECT_FALSE(fs::exists(path("none.mcap")));
 }
 
 TEST_F(Recorded, GoesOnInNumberedFilesWhereTheNameHasNoTime) {
