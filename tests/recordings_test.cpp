@@ -400,6 +400,84 @@ TEST_F(Recorded, WhatWasToldIsComparedTooAndTheFirstTickAndKeyThatDifferAreNamed
   });
 }
 
+TEST_F(Recorded, NothingIsPassedOverInSilence) {
+  start_server(path("true.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  listen();
+  spawn(host);
+  // An input that changes nothing: it is refused.
+  ASSERT_EQ(net_put(net, "crumple/1/main/host/stray/poses", "none", 4, NET_DATA), 0);
+  crash(host);
+  if (HasFatalFailure()) return;
+  after(150);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const std::string source = path("true.mcap");
+  const Contents all = read(source);
+  const auto is_stray = [](const Message& message) { return message.topic == "crumple/1/main/host/stray/poses"; };
+  const auto stray = std::find_if(all.messages.begin(), all.messages.end(), is_stray);
+  const auto healthy = std::find_if(all.messages.begin(), all.messages.end(), [](const auto& m) { return m.is("Health"); });
+  ASSERT_TRUE(stray != all.messages.end() && healthy != all.messages.end());
+  const auto verify = [&](const char* name, int code, const std::vector<std::string>& parts, const auto& change,
+                          const std::vector<Message>& more = {}) {
+    copy(source, path(name), nullptr, change, more);
+    const Outcome outcome = run({"replay", path(name), "--verify"});
+    EXPECT_EQ(outcome.code, code) << name << "\n" << outcome.text;
+    for (const std::string& part : parts)
+      EXPECT_NE(outcome.text.find(part), std::string::npos) << name << ": " << part << "\n" << outcome.text;
+  };
+  const auto tick = [](uint32_t number) { return "tick " + std::to_string(number); };
+  const auto nothing = [](Message&) { return true; };
+  verify("same.mcap", 0,
+         {"every tick identical", "; not compared: times, what health says but for cars, hosts and obstacles\n"}, nothing);
+  verify("moved.mcap", 1, {tick(stray->tick) + " differs in host/stray/poses (an input of " + tick(stray->tick + 7) + ")"},
+         [&](Message& message) {
+           if (is_stray(message)) message.tick += 7;
+           return true;
+         });
+  const std::string others = tick(stray->tick) + " differs in its inputs (others were recorded); the world's hash is the same";
+  verify("fewer.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.topic.clear();
+    return true;
+  });
+  verify("another.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.data = "more";
+    return true;
+  });
+  verify("elsewhere.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.topic = "elsewhere";
+    return true;
+  });
+  verify("renamed.mcap", 0, {"; not compared: ", "1 messages of another program, the first on \"elsewhere\""},
+         [health = 0](Message& message) mutable {
+           if (message.is("Health") && health++ == 0) message.topic = "elsewhere";
+           return true;
+         });
+  verify("mistimed.mcap", 1, {tick(healthy->tick) + " differs in health (of another tick or rate)"}, [](Message& message) {
+    if (message.is("Health")) message.tick += 1;
+    return true;
+  });
+  verify("crowded.mcap", 1, {tick(healthy->tick) + " differs in health (another number of cars)"}, [](Message& message) {
+    if (!message.is("Health")) return true;
+    for (const auto* one : *message.as<schema::Health>()->counts())
+      if (one->name()->str() == "cars")
+        ++*const_cast<uint8_t*>(reinterpret_cast<const flatbuffers::Table*>(one)->GetAddressOf(schema::Count::VT_VALUE));
+    return true;
+  });
+  verify("misended.mcap", 1, {tick(healthy->tick) + " differs in tick (of another tick)"}, [&](Message& message) {
+    if (message.is("TickEnd") && message.tick == healthy->tick) message.tick += 1;
+    return true;
+  });
+  Message behind = *stray;
+  behind.tick = all.last_tick() + 1;
+  verify("more.mcap", 1,
+         {"behind the last of them stand 1 messages of a tick that has no end, the first on \"host/stray/poses\""}, nothing,
+         {behind});
+  behind.topic = "crumple/1/main/car/box/delta/0";
+  verify("told.mcap", 1, {"the first on \"car/box/delta/0\""}, nothing, {behind});
+}
+
 TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   start_server(path("true.mcap"));
   Crumple* host = open("tester");
@@ -469,6 +547,7 @@ TEST_F(Recorded, AnOlderRecordingIsVerifiedAsBeforeAndItIsSaid) {
   EXPECT_EQ(outcome.code, 0) << outcome.text;
   EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
   EXPECT_NE(outcome.text.find("by an older program"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find(", whether inputs are missing"), std::string::npos) << outcome.text;
 }
 
 TEST_F(Recorded, AKillWithinTheFirstSecondsLosesASecondAtMostAndNothingOfTheHead) {
@@ -742,6 +821,7 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
     if (number["crumple/1/main/tick"] == 0) continue;  // it had just begun
     const Outcome verified = run({"replay", file, "--verify"});
     EXPECT_EQ(verified.code, 0) << verified.text;
+    EXPECT_EQ(count(verified.text, "what hosts had told before"), file == all.front() ? 0u : 1u) << verified.text;
   }
 }
 
