@@ -411,7 +411,9 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
 // A scene that runs for a month with new cars each second: what they were told under their ids goes with them.
 TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   const Session peer = open_peer();
-  const auto key_of = [](int k) { return "t/" + std::to_string(k) + "/key"; };
+  // In branches of 90: zenoh compares a new key with each that stands beside it, and 8,192 of those take seconds.
+  const auto id = [](int k) { return "t/" + std::to_string(k / 90) + "/" + std::to_string(k % 90) + "/"; };
+  const auto key_of = [&](int k) { return id(k) + "key"; };
   ASSERT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
   int refused = 0, k = 0;
   for (; refused == 0; ++k) refused = put(peer, key_of(k).c_str(), "x");
@@ -420,7 +422,7 @@ TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   EXPECT_EQ(k, NET_KEYS);
   EXPECT_EQ(stats_of(peer).keys, uint64_t(NET_KEYS));
   EXPECT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
-  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), ("t/" + std::to_string(k) + "/").c_str()), TRANSPORT_OK);
+  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), id(k).c_str()), TRANSPORT_OK);
   EXPECT_EQ(stats_of(peer).keys, 1u);
 }
 
@@ -766,6 +768,79 @@ TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
   EXPECT_EQ(read.opened, TRANSPORT_OK);
   EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
   EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 50'000) << "kB";
+}
+
+std::string number(uint64_t value, size_t bytes) { return {reinterpret_cast<const char*>(&value), bytes}; }
+
+// A chunk of records of kind 0x80, which nobody knows, of 100 MiB of zeros each, packed by zstd: 4 bytes give 128 KiB.
+std::string zstd_bomb(int records, uint64_t claimed) {
+  constexpr uint64_t block = 128 << 10, blocks = 800;
+  const auto block_head = [](uint64_t size, uint64_t type, bool last) { return number(size << 3 | type << 1 | last, 3); };
+  std::string packed("\x28\xb5\x2f\xfd\0\x38", 6);  // magic, no size, a window of 128 KiB
+  for (int k = 0; k < records; ++k) {
+    packed += block_head(9, 0, false) + '\x80' + number(block * blocks, 8);
+    for (uint64_t i = 1; i <= blocks; ++i) packed += block_head(block, 1, k == records - 1 && i == blocks) + '\0';
+  }
+  const std::string body =
+      std::string(16, '\0') + number(claimed, 8) + number(0, 4) + number(4, 4) + "zstd" + number(packed.size(), 8) + packed;
+  return '\x06' + number(body.size(), 8) + body;
+}
+
+// 130 kB that keep whoever unpacks them busy for 4 GB, or fill its memory.
+TEST(Recording, AChunkThatGivesFarMoreThanItTakesIsRefusedBeforeItIsUnpacked) {
+  const std::string path = temporary("whole.mcap"), bomb = temporary("bomb.mcap");
+  const std::vector<Entry> written = write_recording(path, 3000, 300);
+  const std::string bytes = read_file(path);
+  const size_t end = chunk_ends(bytes).back().first;
+  constexpr uint64_t record = (100 << 20) + 9;
+  for (const auto& [records, claimed] : {std::pair(40, 40 * record), {1, record}, {1, uint64_t{60} << 20}}) {
+    write_file(bomb, bytes.substr(0, end) + zstd_bomb(records, claimed) + bytes.substr(end));
+    const Recording read = read_recording(bomb);
+    EXPECT_EQ(read.opened, TRANSPORT_OK);
+    EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
+    EXPECT_NE(std::string(transport_error())
+                  .find("the chunk at byte " + std::to_string(end) + " claims to hold " + std::to_string(claimed) + " bytes"),
+              std::string::npos)
+        << transport_error();
+    EXPECT_TRUE(read.entries == written) << "what stands before it is sound";
+  }
+}
+
+// What compresses best, LZ4 makes 255 times shorter: the longest that is recorded, of zeros.
+TEST(Recording, WhatItPacksBestItReadsAgain) {
+  const std::string path = temporary("zeros.mcap"), data(size_t{32} << 20, '\0');
+  Recorder* recorder = nullptr;
+  ASSERT_EQ(recorder_open(path.c_str(), "", "", &recorder), TRANSPORT_OK);
+  const int channel = recorder_channel(recorder, "t", recorder_schema(recorder, "S", nullptr, 0));
+  for (uint32_t k = 0; k < 2; ++k)
+    ASSERT_EQ(recorder_write(recorder, channel, k, k, k, data.data(), data.size()), TRANSPORT_OK);
+  ASSERT_EQ(recorder_close(recorder), TRANSPORT_OK);
+  EXPECT_LT(std::filesystem::file_size(path), 2 * data.size() / 240);
+  const Recording read = read_recording(path);
+  EXPECT_EQ(read.ended, 0) << transport_error();
+  ASSERT_EQ(read.entries.size(), 2u);
+  EXPECT_TRUE(read.entries[0].data == data);
+}
+
+// A reader keeps them to the end.
+TEST(Recording, RefusesSchemasThatFillTheMemory) {
+  const std::string path = temporary("schemas.mcap"), schema(size_t{10} << 20, '\0');
+  for (const int distinct : {6, 7}) {
+    Recorder* recorder = nullptr;
+    ASSERT_EQ(recorder_open(path.c_str(), "", "", &recorder), TRANSPORT_OK);
+    for (int k = 0; k < distinct; ++k) {
+      const std::string name = "S" + std::to_string(k);
+      const int channel =
+          recorder_channel(recorder, name.c_str(), recorder_schema(recorder, name.c_str(), schema.data(), schema.size()));
+      ASSERT_EQ(recorder_write(recorder, channel, 0, 0, 0, "x", 1), TRANSPORT_OK);
+    }
+    ASSERT_EQ(recorder_close(recorder), TRANSPORT_OK);
+    const Recording read = read_recording(path);
+    EXPECT_EQ(read.ended, distinct == 6 ? 0 : TRANSPORT_BAD_FILE) << transport_error();
+    EXPECT_EQ(read.entries.size(), 6u);
+  }
+  EXPECT_NE(std::string(transport_error()).find("its schemas and channels take over 64 MiB"), std::string::npos)
+      << transport_error();
 }
 
 TEST(Recording, IsReadableWhileItIsBeingWritten) {

@@ -200,8 +200,8 @@ typedef struct ReaderMessage {
   uint64_t log_time_ns, publish_time_ns;
 } ReaderMessage;
 
-// Opens a recording, whole or cut off at any byte (then reader_cut gives 1), whose chunks are plain, LZ4 or zstd; records over
-// 256 MiB are refused.
+// Opens a recording, whole or cut off at any byte (then reader_cut gives 1), whose chunks are plain, LZ4 or zstd. Refused are
+// records over 256 MiB, chunks that hold over 64 MiB or 256 times what they take, and over 64 MiB of schemas and topics.
 int reader_open(const char* path, Reader** out);
 void reader_close(Reader*);
 int reader_cut(const Reader*);
