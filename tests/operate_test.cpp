@@ -2,6 +2,7 @@
 // that no sender can make its ticks long.
 #include <arpa/inet.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <map>
@@ -302,6 +303,26 @@ TEST_F(Guarded, CertificatesLetAHostDriveAndAPlayerOnlyWatch) {
   expect_refused(endpoint, nobody(), "no certificate");
   expect_refused(endpoint, certificate("game2"), "a certificate of another authority");
   play(certificate("game"), certificate("player"));
+}
+
+TEST_F(Guarded, ThoseWhoSpeakNoTlsKeepNobodyOut) {
+  start_guarded(server_network());
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  to.sin_port = htons(static_cast<uint16_t>(std::stoi(endpoint.substr(endpoint.rfind(':') + 1))));
+  to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  std::vector<int> strangers;
+  for (int i = 0; i < 300; ++i) {
+    strangers.push_back(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    ASSERT_EQ(connect(strangers.back(), reinterpret_cast<const sockaddr*>(&to), sizeof to), 0) << std::strerror(errno);
+    ASSERT_GT(send(strangers.back(), "GET / HTTP/1.1\r\n\r\n", 18, MSG_NOSIGNAL), 0) << std::strerror(errno);
+  }
+  const std::string network = user("game", "dent-1");
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 10'000, endpoint.c_str(), "main", "game", network.c_str()};
+  Crumple* session = nullptr;
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_OK) << crumple_error();
+  crumple_close(session);
+  for (const int stranger : strangers) close(stranger);
 }
 
 TEST_F(Guarded, BehindARouterOnlyServersOwnAScene) {
