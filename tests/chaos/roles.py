@@ -116,17 +116,20 @@ class Host:
 
     def command(self):
         """Spawns what does not live and mends what does, on a session of its own: who waits for an answer sends no poses."""
-        session, mended = self.open(), time.monotonic()
+        session, mended, missing = self.open(), time.monotonic(), []
         while True:
             time.sleep(0.5)
             try:
                 if self.unheard > 0.7:
-                    for car in self.cars.values():
+                    missing = list(self.cars.values())
+                if missing:
+                    while missing:
                         try:
-                            pose = self.crumple.Pose((car.start, LANE * car.lane, 0.0))
-                            session.spawn(car.id, car.asset, pose)
+                            pose = self.crumple.Pose((missing[0].start, LANE * missing[0].lane, 0.0))
+                            session.spawn(missing[0].id, missing[0].asset, pose)
                         except self.crumple.Refused:
                             pass  # it lives
+                        missing.pop(0)
                 elif time.monotonic() > mended + MENDED and not self.calm:
                     mended = time.monotonic()
                     for car in self.cars:
@@ -275,7 +278,10 @@ class Link:
 
         async def take():
             while True:
-                data = await reader.read(PIECE)
+                try:
+                    data = await reader.read(PIECE)
+                except OSError:
+                    data = b""  # who is killed resets the connection: the other end must see it go
                 await self.moves.wait()
                 await queue.put((time.monotonic() + max(0, random.gauss(self.delay, self.jitter)), data))
                 if not data:

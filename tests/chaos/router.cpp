@@ -1,5 +1,6 @@
 // crumple_router ENDPOINT [FILE]: a router of the chaos run, with a configuration of zenoh's (JSON5). Its zenoh is built as
-// server/router.json5 wants it of zenohd; that of PyPI waits 10 s on the thread that receives whenever it lets go of who is silent.
+// server/router.json5 wants it of zenohd; that of PyPI waits 10 s on the thread that receives whenever it lets go of who is
+// silent.
 #include <unistd.h>
 
 #include <cstdio>
