@@ -147,7 +147,8 @@ int web_set(Web*, const char* key, const void* data, size_t size);
 // Whoever comes from now on gets no page whose path and nothing of what is set under keys that begin so; the others are not
 // told.
 int web_forget(Web*, const char* prefix);
-// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, each for 30 s and 30 s.
+// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, half of them of one address,
+// each for 30 s and 30 s.
 // Before that they are refused.
 int web_take_requests(Web*);
 typedef struct WebRequest {
