@@ -59,6 +59,9 @@ enum { NET_LONGEST = 64 << 20, NET_KEYS = 8192 };  // bytes of a message that a 
 // Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, or beyond 256 MiB of all
 // that waits in this session, new ones are dropped and counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth, size_t longest);
+// What comes under these keys, comma separated, 256 at most, waits also where the others fill a subscription of depth 0, or the
+// 256 MiB. They take the place of those before.
+int net_prefer(Net*, const char* keys);
 // Ends every subscription with this very expression. What has arrived before still comes.
 int net_unsubscribe(Net*, const char* key_expression);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused, as are those that bring more
