@@ -59,6 +59,9 @@ enum { NET_LONGEST = 64 << 20, NET_KEYS = 8192 };  // bytes of a message that a 
 // Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, or beyond 256 MiB of all
 // that waits in this session, new ones are dropped and counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth, size_t longest);
+// What comes under these keys, comma separated, 256 at most, waits also where the others fill a subscription of depth 0, or the
+// 256 MiB. They take the place of those before.
+int net_prefer(Net*, const char* keys);
 // Ends every subscription with this very expression. What has arrived before still comes.
 int net_unsubscribe(Net*, const char* key_expression);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused, as are those that bring more
@@ -147,7 +150,8 @@ int web_set(Web*, const char* key, const void* data, size_t size);
 // Whoever comes from now on gets no page whose path and nothing of what is set under keys that begin so; the others are not
 // told.
 int web_forget(Web*, const char* prefix);
-// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, each for 30 s and 30 s.
+// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, half of them of one address,
+// each for 30 s and 30 s.
 // Before that they are refused.
 int web_take_requests(Web*);
 typedef struct WebRequest {

@@ -217,6 +217,10 @@ void forget_hosts(Server& server) {
     if (!std::binary_search(now.begin(), now.end(), host))
       net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
   server.latest.forget_others(now);
+  std::string keys;  // of those who are known: a flood of others must not deafen the server to them
+  for (const std::string& host : now)
+    for (const char* what : {"/poses", "/obstacles"}) keys += (keys.empty() ? "" : ",") + server.root + "host/" + host + what;
+  need(net_prefer(server.net, keys.c_str()));
   server.heard = std::move(now);
   server.newcomers = 0;
 }

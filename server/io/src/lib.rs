@@ -219,6 +219,12 @@ pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth:
 }
 
 #[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_prefer(net: *mut Net, keys: *const c_char) -> c_int {
+    let prefer = || unsafe { borrow(net, "net")?.prefer(text(keys, "keys")?) };
+    done(prefer())
+}
+
+#[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_unsubscribe(net: *mut Net, key: *const c_char) -> c_int {
     let unsubscribe = || unsafe { borrow(net, "net")?.unsubscribe(text(key, "key_expression")?) };
     done(unsubscribe())
