@@ -346,7 +346,7 @@ class Frames(WithServer):
         sessions = sent = 0
         while time.monotonic() < began + 8.0:
             try:
-                stranger = raw.Raw(self.endpoint, kind=draw.choice([raw.CLIENT, raw.CLIENT, raw.PEER, raw.ROUTER]))
+                stranger = raw.Raw(self.endpoint)
                 for _ in range(draw.randint(1, 12)):
                     body = bytearray(b"".join(draw.choice(good) for _ in range(draw.randint(1, 4))))
                     for _ in range(draw.randint(0, 3)):
