@@ -23,7 +23,7 @@ namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 88 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 96 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);

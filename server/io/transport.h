@@ -107,7 +107,8 @@ typedef struct NetStats {
   uint64_t put, put_bytes, put_dropped;  // dropped: the session's own queue was full
   uint64_t received, received_bytes, received_dropped, oversized, replaced;
   uint64_t queries, queries_refused;
-  uint64_t keys;  // that it publishes on
+  uint64_t keys;            // that it publishes on
+  uint64_t frames_refused;  // messages of this process's sessions that zenoh.patch refuses
 } NetStats;
 void net_stats(const Net*, NetStats* out);
 

@@ -384,6 +384,7 @@ void publish_health(Server& server) {
                                  {"keys_published", stats.keys, NET_KEYS},
                                  {"oversized", stats.oversized},
                                  {"keys_refused", server.keys_refused},
+                                 {"frames_refused", stats.frames_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
                                  {"recording_lost", server.recording ? server.recording->lost() : 0}});

@@ -8,7 +8,7 @@
 #include <iterator>
 #include <string>
 
-#include "transport/transport.h"
+#include "io/transport.h"
 
 int main(int count, char** arguments) {
   std::string network;

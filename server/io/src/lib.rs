@@ -337,6 +337,7 @@ pub struct NetStats {
     queries: u64,
     queries_refused: u64,
     keys: u64,
+    frames_refused: u64,
 }
 
 #[unsafe(no_mangle)]
@@ -356,6 +357,7 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         queries: get(&came.queries),
         queries_refused: get(&came.queries_refused),
         keys: net.key_count() as u64,
+        frames_refused: get(&zenoh::REFUSED),
     };
     unsafe { out.write(view) };
 }
@@ -732,4 +734,4 @@ pub unsafe extern "C" fn reader_metadata(
 }
 
 // The same numbers stand in tests/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 88 && size_of::<ReaderMessage>() == 72);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 96 && size_of::<ReaderMessage>() == 72);
