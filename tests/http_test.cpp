@@ -12,7 +12,8 @@
 #include <set>
 #include <sstream>
 
-#include "io/transport.h"
+#include "io/metrics.h"
+#include "io/web.h"
 #include "program.h"
 
 namespace crumple {

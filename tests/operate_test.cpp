@@ -10,7 +10,8 @@
 #include <sstream>
 
 #include "host.h"
-#include "io/transport.h"
+#include "io/mcap.h"
+#include "io/net.h"
 #include "program.h"
 
 namespace crumple {

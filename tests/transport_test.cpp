@@ -1,7 +1,5 @@
 // The transport room against its header: real zenoh sessions on loopback in one process, real files in the test's folder.
-// In: transport.h only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
-#include "io/transport.h"
-
+// In: the headers of server/io only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
@@ -18,6 +16,8 @@
 #include <vector>
 
 #include "impaired_link.h"
+#include "io/mcap.h"
+#include "io/net.h"
 
 namespace crumple {
 namespace {

@@ -14,7 +14,7 @@
 #include <vector>
 
 #include "cpp/crumple_client.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "protocol/asset.h"
 #include "viewer/surface.h"
 

@@ -23,7 +23,8 @@
 
 #include "gateway/control.h"
 #include "io/files.h"
-#include "io/transport.h"
+#include "io/net.h"
+#include "io/web.h"
 #include "protocol/asset.h"
 #include "protocol/key.h"
 #include "protocol/message.h"

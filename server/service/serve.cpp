@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "bake/load_car.h"
+#include "io/metrics.h"
 #include "protocol/key.h"
 #include "recording/answer.h"
 #include "recording/recording.h"

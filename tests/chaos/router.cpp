@@ -8,7 +8,7 @@
 #include <iterator>
 #include <string>
 
-#include "io/transport.h"
+#include "io/net.h"
 
 int main(int count, char** arguments) {
   std::string network;

@@ -574,7 +574,7 @@ const std::deque<Seen>& seen() { return recent; }
 
 }  // namespace crumple::weather
 
-// ---- transport.h ----
+// ---- net.h ----
 
 const char* transport_error(void) { return error.c_str(); }
 const char* transport_version(void) { return "simulated"; }

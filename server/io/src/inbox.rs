@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 
-/// As NetKind in transport.h.
+/// As NetKind in net.h.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Kind {
     Sample = 0,

@@ -324,7 +324,7 @@ async fn live(mut socket: WebSocket, shared: &Shared) {
     }
 }
 
-/// The first of these; transport.h says how it is laid out.
+/// The first of these; web.h says how it is laid out.
 fn batch(round: &mut VecDeque<Slot>) -> Vec<u8> {
     let mut bytes = Vec::new();
     while let Some(slot) = round.front().filter(|slot| bytes.is_empty() || bytes.len() + slot.data.len() <= MAX_BATCH) {
