@@ -89,7 +89,7 @@ double push_down(const HeldMesh& mesh, const Parameters& parameters, double dept
   obstacle.velocity.z() = -depth / push_ticks / tick_seconds;
   double work = 0, last = 0;
   for (int k = 1; k <= push_ticks; ++k) {
-    deform(mesh.model(), parameters, fixed_mass(), {&obstacle, 1}, tick_seconds, scratch, body, motion);
+    deform({mesh.model(), parameters, fixed_mass(), {&obstacle, 1}, tick_seconds}, scratch, body, motion);
     obstacle.pose = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, tick_seconds);
     const double force = -body.force.z();
     report.add("force at", depth * k / push_ticks, force, "N", body);

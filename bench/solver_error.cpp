@@ -148,7 +148,7 @@ std::vector<Row> by_nodal(const Scene& scene, int sweeps) {
   std::vector<Row> rows;
   for (int k = 0; k < substeps; ++k) {
     motion.velocity.x() = scene.velocity[size_t(k)];
-    deform(model, parameters, mass, {&scene.obstacle, 1}, substep_seconds(Parameters()), *scratch, body, motion);
+    deform({model, parameters, mass, {&scene.obstacle, 1}, substep_seconds(Parameters())}, *scratch, body, motion);
     if ((k + 1) % substeps_a_row != 0) continue;
     Row& row = rows.emplace_back();
     for (const Vec3& node : body.node) row.node.push_back(node.cast<double>());

@@ -465,7 +465,7 @@ TEST(ReferenceTwin, NodalComesToTheReferenceAsItsSweepsGrow) {
     Motion motion;
     motion.velocity.x() = speed;
     const ScratchHandle scratch = make_scratch();
-    deform(model, parameters, mass, {&wall, 1}, substeps * h, *scratch, body, motion);
+    deform({model, parameters, mass, {&wall, 1}, substeps * h}, *scratch, body, motion);
     double sum = 0;
     for (size_t i = 0; i < reference.size(); ++i) sum += (body.node[i].cast<double>() - reference[i]).squaredNorm();
     return std::sqrt(sum / double(reference.size()));

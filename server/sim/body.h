@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "sim/anderson.h"
 #include "sim/material.h"
-#include "sim/mixing.h"
 #include "sim/model.h"
 #include "sim/motion.h"
 
@@ -19,7 +19,7 @@ struct Body {
   std::vector<float> hardening;      // per tet: accumulated plastic strain
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
   std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
-  History history;                   // of the solver's last steps; empty when settled
+  AndersonHistory history;           // of the solver's last steps; empty when settled
   double absorbed = 0;               // J since spawn: plastic work, drag, friction
   double stored = 0;                 // J: elastic, now
   double owed = 0;                   // J of it that the motion did not give: the body may not return them

@@ -3,8 +3,7 @@
 // times its volume without load), N area vector of the face opposite a node (twice its area), kappa accumulated plastic strain.
 #pragma once
 
-#include <cstddef>
-
+#include "sim/anderson_kernels.h"
 #include "sim/blocks.h"
 #include "sim/vector.h"
 
@@ -83,14 +82,7 @@ struct Kernels {
   double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, const uint16_t* flowing);
   // Elastic energy of the groups [first, last) at their full moduli, J.
   double (*energy)(const TetView&, uint32_t first, uint32_t last);
-  // Of mixing.h, on n quads, a multiple of four. Replaces residual by after - before and result by after; by how much they
-  // changed goes out, and the square of the new residual's length, m^2.
-  void (*compare)(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
-                  Quad* result_change, double* size);
-  // out[p] = a . b[p], p < count.
-  void (*products)(const Quad* a, const Quad* const* b, int count, size_t n, double* out);
-  // to += sum scale[p] a[p]
-  void (*combine)(const Quad* const* a, const float* scale, int count, size_t n, Quad* to);
+  AndersonKernels anderson;
 };
 
 // The widest that this processor has; or by name (portable, avx2, avx512), nullptr if it lacks it: for tests.

@@ -39,6 +39,10 @@ void field(File& file, std::vector<Number>& list) {
   file.resize(list);
   file.raw(static_cast<void*>(list.data()), list.size() * sizeof(Number));
 }
+template <class File, size_t Rows, size_t Columns>
+void field(File& file, std::array<std::array<double, Columns>, Rows>& table) {
+  file.raw(table.data(), sizeof table);
+}
 template <class File>
 void field(File& file, std::optional<uint64_t>& value) {
   uint8_t there = value.has_value();
@@ -65,11 +69,8 @@ void field(File& file, Parameters& parameters) {
   file.raw(parameters.region.data(), sizeof parameters.region);
 }
 template <class File>
-void field(File& file, History& history) {
-  field(file, history.count, history.next);
-  for (auto& list : history.residual) field(file, list);
-  for (auto& list : history.result) field(file, list);
-  file.raw(history.products.data(), sizeof history.products);
+void field(File& file, AndersonHistory& history) {
+  each_field(history, [&](auto& each) { field(file, each); });
 }
 template <class File>
 void field(File& file, Body& body) {

@@ -9,7 +9,6 @@
 #include <cstring>
 #include <stdexcept>
 
-#include "sim/nodal.h"
 #include "tick/fields.h"
 #include "wire/check.h"
 
@@ -72,16 +71,6 @@ void check_id(const std::string& id) {
   Checker checker{limits};
   (void)checker.id({"snapshot"}, "id", id);
   if (checker.refusal) refuse(checker.refusal->sentence);
-}
-
-// Changes of so many steps, each of all nodes, the oldest of which is overwritten next.
-bool is_sound(const History& history, size_t nodes) {
-  const int count = history.count, next = history.next;
-  bool good = count >= 0 && count <= mixing_depth && next >= 0 && next < mixing_depth;
-  good = good && (count == mixing_depth || next == count);
-  for (size_t k = 0; good && k < size_t(count); ++k)
-    good = history.residual[k].size() == quads_of_nodes(nodes) && history.result[k].size() == quads_of_nodes(nodes);
-  return good;
 }
 
 template <class T>
