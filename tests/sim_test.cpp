@@ -852,5 +852,41 @@ TEST(Hostile, WhatTheMotionDidNotGiveIsNotReturnedToIt) {
   }
 }
 
+// ---- the list of a body's fields ------------------------------------------------------------------------------------------
+
+float& first_number(std::vector<Vec3>& list) { return list[0].x(); }
+float& first_number(std::vector<Gradients>& list) { return list[0].corner[0].x(); }
+float& first_number(std::vector<float>& list) { return list[0]; }
+double& first_number(Eigen::Vector3d& v) { return v.x(); }
+int& first_number(AndersonHistory& history) { return history.next; }
+template <class Number>
+Number& first_number(Number& number) {
+  return number;
+}
+
+TEST(Body, HashesEachFieldOfItsListAndRefusesWhatIsNotFiniteInIt) {
+  const std::shared_ptr<const Car> car = box_car({3, 2, 2});
+  const Body body = make_body(car->model);
+  EXPECT_EQ(refuse_fields(car->model, body, false), std::nullopt);
+  for_each_field([&](const auto& field) {
+    Body changed = body;
+    auto& number = first_number(changed.*field.value);
+    using Number = std::remove_reference_t<decltype(number)>;
+    if constexpr (std::is_same_v<Number, bool>) {
+      number = !number;
+    } else {
+      number += 1;
+    }
+    EXPECT_NE(hash(changed), hash(body)) << field.name;
+    if constexpr (std::is_floating_point_v<Number>) {
+      number = std::numeric_limits<Number>::quiet_NaN();
+      const auto refusal = refuse_fields(car->model, changed, false);
+      ASSERT_TRUE(refusal) << field.name;
+      EXPECT_NE(refusal->find(field.name), std::string::npos) << *refusal;
+      EXPECT_EQ(refuse_fields(car->model, changed, true).has_value(), field.traits.saved) << field.name;
+    }
+  });
+}
+
 }  // namespace
 }  // namespace crumple

@@ -1,5 +1,6 @@
 #include "sim/recovery.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -11,30 +12,47 @@ namespace {
 constexpr float flat = 0.02f;     // share of a tet's volume left: below it no shape is a sound one at rest
 constexpr float reverted = 0.1f;  // of the flow around an inverted tet, a tick
 
-// A body that holds numbers that are not finite has lost its shape there: those nodes and tets are as baked again.
+bool is_finite(float number) { return std::isfinite(number); }
+bool is_finite(const Vec3& v) { return v.allFinite(); }
+bool is_finite(const Gradients& g) {
+  return std::all_of(g.corner, g.corner + 3, [](const Vec3& v) { return v.allFinite(); });
+}
+
+void reset_non_finite(bool&) {}
+void reset_non_finite(AndersonHistory&) {}  // a backup has none
+void reset_non_finite(Eigen::Vector3d& v) {
+  if (!v.allFinite()) v.setZero();
+}
+template <class Number>
+void reset_non_finite(Number& number) {
+  if (!std::isfinite(number)) number = 0;
+}
+
+// A node, tet or edge with a number that is not finite has lost its shape: in all that it has it is as baked again.
+void reset_non_finite(const Model& model, Per per, Body& body) {
+  std::vector<uint8_t> broken(count_of(model, per), 0);
+  const auto for_each_list = [&](const auto& visit) {
+    for_each_field([&](const auto& field) {
+      if constexpr (IsList<decltype(field)>) {
+        if (field.per == per) visit(field, body.*field.value);
+      }
+    });
+  };
+  for_each_list([&](const auto&, const auto& list) {
+    for (size_t i = 0; i < list.size(); ++i) broken[i] |= !is_finite(list[i]);
+  });
+  for_each_list([&](const auto& field, auto& list) {
+    for (size_t i = 0; i < list.size(); ++i) {
+      if (broken[i]) list[i] = rest_of(model, field, i);
+    }
+  });
+}
+
 void reset_non_finite(const Model& model, Body& body) {
-  for (size_t i = 0; i < body.node.size(); ++i) {
-    if (body.node[i].allFinite() && body.step[i].allFinite()) continue;
-    body.node[i] = model.node[i];
-    body.step[i].setZero();
-  }
-  for (size_t t = 0; t < body.gradients.size(); ++t) {
-    bool sound = std::isfinite(body.hardening[t]);
-    for (const Vec3& corner : body.gradients[t].corner) sound = sound && corner.allFinite();
-    if (sound) continue;
-    body.gradients[t] = model.gradients[t];
-    body.hardening[t] = 0;
-  }
-  for (size_t e = 0; e < body.edge_rest.size(); ++e) {
-    if (!std::isfinite(body.edge_rest[e])) body.edge_rest[e] = model.edge_rest[e];
-  }
-  for (size_t t = 0; t < body.tet_rest.size(); ++t) {
-    if (!std::isfinite(body.tet_rest[t])) body.tet_rest[t] = model.tet_rest[t];
-  }
-  if (!std::isfinite(body.absorbed)) body.absorbed = 0;
-  if (!std::isfinite(body.stored)) body.stored = 0;
-  if (!std::isfinite(body.owed)) body.owed = 0;
-  if (!body.force.allFinite() || !body.moment.allFinite()) body.force.setZero(), body.moment.setZero();
+  for (const Per per : {Per::node, Per::tet, Per::edge}) reset_non_finite(model, per, body);
+  for_each_field([&](const auto& field) {
+    if constexpr (!IsList<decltype(field)>) reset_non_finite(body.*field.value);
+  });
   measure_reach(model, body);
 }
 
