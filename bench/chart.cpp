@@ -439,7 +439,7 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
                        .context = nullptr};
   const TetView view{s.node.data(), blocks.group.data(), s.tets.data(), s.region.data(), s.law.data(), s.stirred.data()};
   std::vector<uint16_t> every(groups, 0xffff);
-  kernels().renew(view, 0, groups, s.stiffness.data(), every.data());
+  kernels().update_secant_moduli(view, 0, groups, s.stiffness.data(), every.data());
   for (const char* instructions : {"avx512", "avx2", "portable"}) {
     const Kernels* kernel = kernels(instructions);
     if (!kernel) continue;
@@ -458,12 +458,12 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
       table.add(name, model, row);
     };
     add("sweep", [&] {
-      for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernel->visit(nodes, blocks.colour[c], blocks.colour[c + 1]);
+      for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernel->relax_nodes(nodes, blocks.colour[c], blocks.colour[c + 1]);
     });
-    add("renew", [&] { kernel->renew(view, 0, groups, s.stiffness.data(), s.flowing.data()); });
+    add("renew", [&] { kernel->update_secant_moduli(view, 0, groups, s.stiffness.data(), s.flowing.data()); });
     add("slope", [&] {
       double derivative[6] = {};
-      kernel->slope(view, 0, groups, s.stiffness.data(), s.direction.data(), derivative);
+      kernel->line_derivative(view, 0, groups, s.stiffness.data(), s.direction.data(), derivative);
     });
     add("flow", [&] { kernel->flow(view, s.tets.data(), 0, groups, s.flowing.data()); });
   }

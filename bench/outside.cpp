@@ -31,7 +31,7 @@ constexpr float near = 1e-5f;  // m
 Parameters parameters_of(float yield, int sweeps) {
   Parameters out;
   if (sweeps > 0) out.iterations = uint16_t(sweeps), out.tolerance = 0;
-  for (Material& material : out.region) material.yield = yield;
+  for (Material& material : out.region) material.yield_strain = yield;
   return out;
 }
 
@@ -53,7 +53,7 @@ class Report {
     char text[200];
     const Material& m = parameters.region[0];
     std::snprintf(text, sizeof text, "%s,%zu,%zu,%g,%g,%g,%s,%d", name, mesh.node.size(), mesh.tet.size(),
-                  double(m.poisson_ratio), double(m.yield), double(m.hardening), sides,
+                  double(m.poisson_ratio), double(m.yield_strain), double(m.hardening), sides,
                   parameters.tolerance > 0 ? 0 : parameters.iterations);
     case_ = text;
   }

@@ -81,7 +81,7 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
   parameters.substeps = uint16_t(substeps);
   for (Material& material : parameters.region) {
     material.plastic_limit = 0;
-    material.yield = 1;  // and no tet is tried for flow
+    material.yield_strain = 1;  // and no tet is tried for flow
   }
   const ScratchHandle scratch = make_scratch();
   Body body = make_body(mesh.model());

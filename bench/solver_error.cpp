@@ -45,12 +45,9 @@ struct Setting {
   const char* name;
   float Material::*field;
 };
-constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus},
-                                {"poisson_ratio", &Material::poisson_ratio},
-                                {"yield", &Material::yield},
-                                {"hardening", &Material::hardening},
-                                {"plastic_limit", &Material::plastic_limit},
-                                {"viscosity", &Material::viscosity}};
+constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus}, {"poisson_ratio", &Material::poisson_ratio},
+                                {"yield", &Material::yield_strain},          {"hardening", &Material::hardening},
+                                {"plastic_limit", &Material::plastic_limit}, {"viscosity", &Material::viscosity}};
 
 void set_material(const std::string& name, float value, Parameters& parameters) {
   for (const Setting& setting : settings) {

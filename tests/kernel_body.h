@@ -186,12 +186,12 @@ struct State {
     return view;
   }
   uint32_t renew(const Kernels& kernel) {
-    return kernel.renew(tet_view(), 0, groups(), solver.stiffness.data(), solver.flowing.data());
+    return kernel.update_secant_moduli(tet_view(), 0, groups(), solver.stiffness.data(), solver.flowing.data());
   }
   double flow(const Kernels& kernel) { return kernel.flow(tet_view(), solver.tets.data(), 0, groups(), solver.flowing.data()); }
   void visit(const Kernels& kernel, NodeView view) const {
     const auto& colour = mesh->blocks.colour;
-    for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.visit(view, colour[c], colour[c + 1]);
+    for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.relax_nodes(view, colour[c], colour[c + 1]);
   }
   // As the tet stands now.
   Gradients gradients(size_t t) const {

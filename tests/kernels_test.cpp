@@ -111,7 +111,7 @@ struct Told {
     Told& told = *static_cast<Told*>(context);
     told.heard.insert(told.heard.end(), gradient, gradient + 3);
     told.heard.insert(told.heard.end(), hessian, hessian + 6);
-    Quad& at = told.state.solver.node[node];
+    Float4& at = told.state.solver.node[node];
     at = {std::min(told.wall, at.x - gradient[0] / hessian[0]), at.y - gradient[1] / hessian[1],
           at.z - gradient[2] / hessian[2], 0};
   }
@@ -136,7 +136,8 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
       auto own = state(0.2f, seed);
       const uint32_t own_lost = own->renew(*kernel);
       double own_slope[6] = {};
-      kernel->slope(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(), own_slope);
+      kernel->line_derivative(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(),
+                              own_slope);
       const double own_energy = kernel->energy(own->tet_view(), 0, own->groups());
       const std::vector<uint16_t> flowing = own->solver.flowing;
       const double own_work = own->flow(*kernel);
@@ -181,11 +182,11 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
   constexpr size_t n = 3 * 256 + 20;
   std::mt19937 random(4);
   std::normal_distribution<float> normal(0, 1);
-  std::vector<std::vector<Quad>> lists(6, std::vector<Quad>(n));
+  std::vector<std::vector<Float4>> lists(6, std::vector<Float4>(n));
   for (auto& list : lists) {
-    for (Quad& quad : list) quad = {normal(random), normal(random), normal(random), 0};
+    for (Float4& quad : list) quad = {normal(random), normal(random), normal(random), 0};
   }
-  std::vector<std::vector<Quad>> first;
+  std::vector<std::vector<Float4>> first;
   std::vector<double> numbers;
   for (const Kernels* kernel : all_kernels()) {
     SCOPED_TRACE(kernel->name);
@@ -193,7 +194,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
     std::vector<double> out(4);
     kernel->anderson.compare(own[0].data(), own[1].data(), n, own[2].data(), own[3].data(), own[4].data(), own[5].data(),
                              &out[3]);
-    const Quad* others[3] = {own[2].data(), own[4].data(), own[5].data()};
+    const Float4* others[3] = {own[2].data(), own[4].data(), own[5].data()};
     kernel->anderson.products(own[2].data(), others, 3, n, out.data());
     const float by[3] = {0.3f, -1.7f, 1e-3f};
     kernel->anderson.combine(others, by, 3, n, own[0].data());
@@ -239,7 +240,7 @@ State& crash(const Kernels& kernel, State& state) {
   view.resolve = Told::resolve;
   view.context = &told;
   const size_t n = s.node.size();
-  std::vector<Quad> from, residual(n), result(n), change(n), result_change(n);
+  std::vector<Float4> from, residual(n), result(n), change(n), result_change(n);
   for (int step = 0; step < 24; ++step) {
     told.wall = 2.25f - (step < 16 ? 0.02f * float(step) : 0.3f - 0.02f * float(step - 16));
     for (size_t i = 0; i < state.mesh->model.node.size(); ++i) {
@@ -252,9 +253,9 @@ State& crash(const Kernels& kernel, State& state) {
       double size = 0, products[2];
       kernel.anderson.compare(s.node.data(), from.data(), n, residual.data(), result.data(), change.data(),
                               result_change.data(), &size);
-      const Quad* others[2] = {change.data(), residual.data()};
+      const Float4* others[2] = {change.data(), residual.data()};
       kernel.anderson.products(change.data(), others, 2, n, products);
-      const Quad* moves[1] = {result_change.data()};
+      const Float4* moves[1] = {result_change.data()};
       const float by = std::clamp(float(-products[1] / products[0]), -0.5f, 0.5f);
       if (sweep > 0 && sweep < 5) kernel.anderson.combine(moves, &by, 1, n, s.node.data());
     }
@@ -295,8 +296,8 @@ struct Plain {
   double size = 0;  // of what was added up, N
 };
 Plain plain(const State& state, uint32_t i) {
-  const auto vec = [](const Quad& q) { return Vector3d(q.x, q.y, q.z); };
-  const Quad &before = state.solver.before[i], &rest = state.solver.rest[i];
+  const auto vec = [](const Float4& q) { return Vector3d(q.x, q.y, q.z); };
+  const Float4 &before = state.solver.before[i], &rest = state.solver.rest[i];
   const Vector3d x = vec(state.solver.node[i]);
   Plain out{double(before.w) * (x - vec(before)) + double(rest.w) * (x - vec(rest)),
             (double(before.w) + double(rest.w)) * Matrix3d::Identity()};
@@ -346,7 +347,7 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       to.hessian[node] << h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2];
       ++to.times[node];
     };
-    const std::vector<Quad> before = own->solver.node;
+    const std::vector<Float4> before = own->solver.node;
     own->visit(kernel, view);
     EXPECT_TRUE(same(before, own->solver.node));  // nothing moves while it measures
     double largest = 0;
@@ -363,7 +364,7 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
     for (uint32_t i = 0; i < model.node.size(); ++i) expected.push_back(plain(*own, i));
     view.measure = false;
     const uint32_t last = own->mesh->blocks.colour[1];
-    kernel.visit(view, 0, last);
+    kernel.relax_nodes(view, 0, last);
     int moved = 0;
     for (uint32_t i = 0; i < model.node.size(); ++i) {
       const uint32_t place = own->mesh->blocks.place[i];
@@ -388,7 +389,7 @@ TEST(Twin, RenewGivesTheSecantModuliOfFlow) {
       const Elastic e = secant(stiff, yield_law(own->material(t)), own->deformation_of(t), own->kappa(t));
       const Gradients g = own->gradients(t);
       const float d = g.corner[0].dot(g.corner[1].cross(g.corner[2])), volume = own->mesh->model.tet_rest[t];
-      const Quad& s = own->solver.stiffness[t];
+      const Float4& s = own->solver.stiffness[t];
       EXPECT_NEAR(s.x / volume, e.mu, 1e-3f * e.mu + 1e-5f * stiff.mu) << "tet " << t;
       EXPECT_NEAR(s.y / (volume * d * d), e.l, 1e-3f * e.l + 1e-5f * stiff.l) << "tet " << t;
       EXPECT_NEAR(s.z * d, e.gamma, 1e-3f * e.gamma) << "tet " << t;
@@ -414,7 +415,7 @@ TEST(Twin, RenewCountsTheTetsThatHaveLostTheirShape) {
 
 // A tet that is beyond yield but did not flow after all (here: inside out) must not stay soft when it is whole again.
 TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
-  std::vector<Quad> first;
+  std::vector<Float4> first;
   for (const Kernels* kernel : all_kernels()) {
     SCOPED_TRACE(kernel->name);
     auto own = std::make_unique<State>(box({9, 4, 3}), 3u, 0.0f);
@@ -497,7 +498,8 @@ TEST(Twin, SlopeIsThatOfTheEnergyAlongTheLine) {
   auto own = state(0.03f, 41);
   own->renew(kernels());
   double derivative[6] = {};
-  kernels().slope(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(), derivative);
+  kernels().line_derivative(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(),
+                            derivative);
   const auto energy = [&](double a) {
     double sum = 0;
     for (size_t t = 0; t < own->tets(); ++t) {
@@ -505,13 +507,13 @@ TEST(Twin, SlopeIsThatOfTheEnergyAlongTheLine) {
       Vector3d x[4];
       for (int c = 0; c < 4; ++c) {
         const uint32_t i = own->mesh->model.tet[t].node[c];
-        const Quad &at = own->solver.node[i], &way = own->solver.direction[i];
+        const Float4 &at = own->solver.node[i], &way = own->solver.direction[i];
         x[c] = Vector3d(at.x, at.y, at.z) + a * Vector3d(way.x, way.y, way.z);
       }
       Matrix3d f = Matrix3d::Zero();
       for (int c = 0; c < 3; ++c) f += (x[c + 1] - x[0]) * gradients.corner[c].cast<double>().transpose();
       const double six = (x[1] - x[0]).cross(x[2] - x[0]).dot(x[3] - x[0]);
-      const Quad& s = own->solver.stiffness[t];
+      const Float4& s = own->solver.stiffness[t];
       sum += 0.5 * double(s.x) * f.squaredNorm() + 0.5 * double(s.y) * (six - double(s.z)) * (six - double(s.z));
     }
     return sum;

@@ -21,8 +21,8 @@ using Vector3d = Eigen::Vector3d;
 struct Linear {
   static constexpr size_t count = 25, places = 28;
   static constexpr float factor[5] = {0.995f, 0.97f, 0.8f, 0.3f, -0.6f};
-  std::vector<Quad> solution = std::vector<Quad>(places);
-  std::vector<Quad> node = std::vector<Quad>(places), before;
+  std::vector<Float4> solution = std::vector<Float4>(places);
+  std::vector<Float4> node = std::vector<Float4>(places), before;
   Anderson anderson;
   Team team;
   AndersonHistory history;
@@ -36,8 +36,8 @@ struct Linear {
   void step() {
     before = node;
     for (size_t i = 0; i < count; ++i) {
-      Quad& x = node[i];
-      const Quad& s = solution[i];
+      Float4& x = node[i];
+      const Float4& s = solution[i];
       const float by = factor[i % 5];
       x = {s.x + by * (x.x - s.x), s.y + by * (x.y - s.y), s.z + by * (x.z - s.z), 0};
     }
@@ -49,7 +49,7 @@ struct Linear {
   double error() const {
     double sum = 0;
     for (size_t i = 0; i < count; ++i) {
-      const Quad &x = node[i], &s = solution[i];
+      const Float4 &x = node[i], &s = solution[i];
       sum += (Vec3(x.x, x.y, x.z) - Vec3(s.x, s.y, s.z)).squaredNorm();
     }
     return std::sqrt(sum);
@@ -76,7 +76,7 @@ TEST(Anderson, WhatWasLearnedInOneSubstepServesTheNext) {
       linear.step();
       linear.mix();
     }
-    for (Quad& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
+    for (Float4& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
     const double start = linear.error();
     linear.anderson.begin();
     if (forget) linear.history = {};
@@ -96,10 +96,10 @@ TEST(Anderson, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
     linear.mix();
   }
   for (auto& list : linear.history.result) {
-    for (Quad& each : list) each = {1e4f * each.x, 1e4f * each.y, 1e4f * each.z, 0};  // the planted fault
+    for (Float4& each : list) each = {1e4f * each.x, 1e4f * each.y, 1e4f * each.z, 0};  // the planted fault
   }
   linear.step();
-  const std::vector<Quad> swept = linear.node;
+  const std::vector<Float4> swept = linear.node;
   linear.mix();
   EXPECT_FALSE(same(swept, linear.node));
   linear.step();
@@ -118,7 +118,7 @@ TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
   Linear clean, dirty;
   for (size_t i = Linear::count; i < Linear::places; ++i) dirty.node[i] = {3e5f, -7, 11, 13};
   const float none = std::numeric_limits<float>::quiet_NaN();
-  std::vector<Quad> last_car(Linear::places + 100, Quad{none, none, none, none});
+  std::vector<Float4> last_car(Linear::places + 100, Float4{none, none, none, none});
   AndersonHistory of_last_car;
   for (int k = 0; k < 3; ++k) dirty.anderson.compare(last_car, last_car, dirty.team, of_last_car);
   dirty.anderson.begin();
@@ -128,7 +128,7 @@ TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
       each->mix();
     }
     for (size_t i = 0; i < Linear::count; ++i) {
-      ASSERT_EQ(std::memcmp(&clean.node[i], &dirty.node[i], sizeof(Quad)), 0) << "step " << k << ", node " << i;
+      ASSERT_EQ(std::memcmp(&clean.node[i], &dirty.node[i], sizeof(Float4)), 0) << "step " << k << ", node " << i;
     }
   }
 }
@@ -158,7 +158,7 @@ struct Scene : Crash {
   }
   // An elastic body under a wall that has come in 40 mm and stands.
   void press() {
-    for (Material& material : parameters.region) material.yield = 0.2f;
+    for (Material& material : parameters.region) material.yield_strain = 0.2f;
     wall(0).velocity.x() = -0.6;
     ticks(4);
     obstacles[0].velocity.x() = 0;

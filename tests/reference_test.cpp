@@ -24,7 +24,7 @@ const double h = substep_seconds(Parameters());
 Material material(float poisson = 0, float yield = 0.009f) {
   Material out;
   out.poisson_ratio = poisson;
-  out.yield = yield;
+  out.yield_strain = yield;
   return out;
 }
 

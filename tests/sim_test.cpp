@@ -273,7 +273,7 @@ TEST(Flow, BelowYieldNothingChanges) {
   const Material material;
   Gradients gradients = identity_gradients();
   float kappa = 0;
-  const Mat3 f = Vec3(1 - 0.9f * material.yield, 1, 1).asDiagonal();
+  const Mat3 f = Vec3(1 - 0.9f * material.yield_strain, 1, 1).asDiagonal();
   EXPECT_EQ(flow(elastic(material), yield_law(material), f, gradients, kappa), 0);
   EXPECT_EQ(kappa, 0);
   EXPECT_EQ(gradients.corner[0], Vec3::UnitX());
@@ -392,7 +392,7 @@ void minimise_elastically(Crash& crash) {
   crash.parameters.iterations = 400;
   crash.parameters.tolerance = 0;
   for (Material& material : crash.parameters.region) {
-    material.yield = 1;
+    material.yield_strain = 1;
     material.viscosity = 0;
   }
 }
@@ -583,7 +583,7 @@ TEST(Law, AMirroredSceneGivesTheMirroredDentWithinWhatTheSolverLeavesUndone) {
 TEST(Law, ATouchBelowYieldLeavesNoDent) {
   Crash crash;
   crash.scripted();
-  for (Material& material : crash.parameters.region) material.yield = 0.1f;
+  for (Material& material : crash.parameters.region) material.yield_strain = 0.1f;
   crash.wall(0).velocity = {-0.3, 0, 0};
   for (int k = 0; k < 4; ++k) crash.tick();
   EXPECT_GT(crash.crush(), 0.015);
@@ -724,7 +724,7 @@ TEST(Law, AWallThrowsNoCarBackFasterThanItCame) {
     Crash crash;
     for (Material& material : crash.parameters.region) {
       material.young_modulus = 1e10f;
-      material.yield = 1;
+      material.yield_strain = 1;
     }
     crash.wall().velocity.x() = -wall_speed;
     crash.motion.velocity.x() = 10;

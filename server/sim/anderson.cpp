@@ -11,13 +11,13 @@ namespace {
 constexpr double growth = 4;             // of the squared residual, beyond which a mixing has failed
 constexpr double regularisation = 1e-6;  // relative; sums are in single precision
 
-constexpr uint32_t quads_at_once = 1024;  // a piece of work; whole sums of the kernels
+constexpr uint32_t nodes_at_once = 1024;  // a piece of work; whole sums of the kernels
 using Products = std::array<double, anderson_depth>;
 
 // Of `first` with each of `others`.
-Products products(const std::vector<Quad>& first, std::span<const std::vector<Quad>> others, Team& team) {
-  return team.sum<anderson_depth>(uint32_t(first.size()), quads_at_once, [&](uint32_t begin, uint32_t end, double* sums) {
-    const Quad* each[anderson_depth];
+Products products(const std::vector<Float4>& first, std::span<const std::vector<Float4>> others, Team& team) {
+  return team.sum<anderson_depth>(uint32_t(first.size()), nodes_at_once, [&](uint32_t begin, uint32_t end, double* sums) {
+    const Float4* each[anderson_depth];
     for (size_t p = 0; p < others.size(); ++p) each[p] = &others[p][begin];
     kernels().anderson.products(&first[begin], each, int(others.size()), end - begin, sums);
   });
@@ -53,16 +53,16 @@ void Anderson::begin() {
   mixed_ = false;
 }
 
-void Anderson::compare(std::span<const Quad> before, std::span<Quad> node, Team& team, AndersonHistory& history) {
+void Anderson::compare(std::span<const Float4> before, std::span<Float4> node, Team& team, AndersonHistory& history) {
   const size_t n = node.size();
   for (auto* list : {&residual_, &result_, &unmixed_}) list->resize(n);
   const int slot = history.next;
-  // Without a last step there is no change: what the kernel writes then goes where only mix() reads, after it has written.
-  std::vector<Quad>& residual_change = compared_ ? history.residual[slot] : unmixed_;
-  std::vector<Quad>& result_change = compared_ ? history.result[slot] : unmixed_;
+  // Without a last step there is no change, and what the kernel writes of one goes where mix() writes before anybody reads.
+  std::vector<Float4>& residual_change = compared_ ? history.residual[slot] : unmixed_;
+  std::vector<Float4>& result_change = compared_ ? history.result[slot] : unmixed_;
   residual_change.resize(n);
   result_change.resize(n);
-  const double size = team.sum<1>(uint32_t(n), quads_at_once, [&](uint32_t k, uint32_t end, double* sum) {
+  const double size = team.sum<1>(uint32_t(n), nodes_at_once, [&](uint32_t k, uint32_t end, double* sum) {
     kernels().anderson.compare(&node[k], &before[k], end - k, &residual_[k], &result_[k], &residual_change[k],
                                &result_change[k], sum);
   })[0];
@@ -82,14 +82,14 @@ void Anderson::compare(std::span<const Quad> before, std::span<Quad> node, Team&
   mixed_ = false;
 }
 
-void Anderson::mix(std::span<Quad> node, Team& team, const AndersonHistory& history) {
+void Anderson::mix(std::span<Float4> node, Team& team, const AndersonHistory& history) {
   const int m = history.count;
   if (!compared_ || m == 0) return;
   const Weighting weight = combine(history, products(residual_, {history.residual.data(), size_t(m)}, team));
   if (!weight.allFinite()) return;
   mixed_ = true;
-  team.run(0, uint32_t(node.size()), quads_at_once, [&](uint32_t k, uint32_t end) {
-    const Quad* changes[anderson_depth];
+  team.run(0, uint32_t(node.size()), nodes_at_once, [&](uint32_t k, uint32_t end) {
+    const Float4* changes[anderson_depth];
     float by[anderson_depth];
     for (int p = 0; p < m; ++p) {
       changes[p] = &history.result[p][k];

@@ -6,7 +6,7 @@
 // 0.03-0.8 % where without it 100 sweeps leave more. D. G. Anderson 1965; H. F. Walker, P. Ni 2011, doi 10.1137/10078356X; in
 // physics simulation: Y. Peng et al. 2018.
 //
-// All lists of nodes are as the solver's are: as many Quads as its padding asks for, a multiple of four (kernels.h).
+// All lists of nodes are as the solver's are: as many Float4s as its padding asks for, a multiple of four (kernels.h).
 #pragma once
 
 #include <array>
@@ -25,7 +25,7 @@ inline constexpr int anderson_depth = 6;  // changes that are kept: two lists of
 struct AndersonHistory {
   int count = 0;                                                                 // of changes, at most anderson_depth
   int next = 0;                                                                  // which of them is overwritten next
-  std::array<std::vector<Quad>, anderson_depth> residual, result;                // changes of f and g, m
+  std::array<std::vector<Float4>, anderson_depth> residual, result;              // changes of f and g, m
   std::array<std::array<double, anderson_depth>, anderson_depth> products = {};  // dot products of the changes of f, m^2
 };
 
@@ -51,18 +51,18 @@ class Anderson {
   // After a step that led from `before` to `node`: takes what it changed against the step before it into the history, and how
   // far it went. If the acceleration before it made the residual more than twice as large, that is undone in `node` and all is
   // forgotten: sweeps alone always descend.
-  void compare(std::span<const Quad> before, std::span<Quad> node, Team&, AndersonHistory&);
+  void compare(std::span<const Float4> before, std::span<Float4> node, Team&, AndersonHistory&);
 
   // Moves `node` to where the next step shall start.
-  void mix(std::span<Quad> node, Team&, const AndersonHistory&);
+  void mix(std::span<Float4> node, Team&, const AndersonHistory&);
 
   // Squared length of the last step, m^2. `compared`: there is a last step in this sub-step, and it was not undone.
   double residual_size() const { return residual_size_; }
   bool compared() const { return compared_; }
 
  private:
-  std::vector<Quad> residual_, result_;  // f and g of the last step
-  std::vector<Quad> unmixed_;            // nodes as the last sweeps left them, once they were mixed
+  std::vector<Float4> residual_, result_;  // f and g of the last step
+  std::vector<Float4> unmixed_;            // nodes as the last sweeps left them, once they were mixed
   double residual_size_ = 0;
   bool compared_ = false, mixed_ = false;  // mixed: the next step starts where mix() put it
 };

@@ -7,7 +7,7 @@
 namespace crumple {
 namespace {
 
-// Sums in 16 lanes of single precision, 256 quads at a time, and these in double: the same for any N.
+// Sums in 16 lanes of single precision, 256 nodes at a time, and these in double: the same for any N.
 constexpr size_t floats_together = 1024;
 
 template <int N>
@@ -31,8 +31,8 @@ CRUMPLE_INLINE void rounds(size_t begin, size_t end, const Work& work) {
 }
 
 template <int N>
-void compare(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
-             Quad* result_change, double* size) {
+void compare(const Float4* after, const Float4* before, size_t n, Float4* residual, Float4* result, Float4* residual_change,
+             Float4* result_change, double* size) {
   const float *a = &after->x, *b = &before->x;
   float *f = &residual->x, *g = &result->x, *df = &residual_change->x, *dg = &result_change->x;
   *size = 0;
@@ -52,7 +52,7 @@ void compare(const Quad* after, const Quad* before, size_t n, Quad* residual, Qu
 }
 
 template <int N>
-void products(const Quad* first, const Quad* const* others, int count, size_t n, double* out) {
+void products(const Float4* first, const Float4* const* others, int count, size_t n, double* out) {
   for (int p = 0; p < count; ++p) out[p] = 0;
   const float* a = &first->x;
   for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
@@ -67,7 +67,7 @@ void products(const Quad* first, const Quad* const* others, int count, size_t n,
 }
 
 template <int N>
-void combine(const Quad* const* others, const float* scale, int count, size_t n, Quad* to) {
+void combine(const Float4* const* others, const float* scale, int count, size_t n, Float4* to) {
   float* a = &to->x;
   for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
     for (int p = 0; p < count; ++p) {

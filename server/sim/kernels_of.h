@@ -21,11 +21,11 @@ struct Block {
 // - sum w_o, J = D e_0 . N, dJ = - D N.
 template <int N>
 CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane, const Vec3s<N>& position,
-                                     const Quads<N>& before) {
+                                     const Float4s<N>& before) {
   const Floats<N> drag = before.w;
   Block<N> out{(position - before.xyz()) * drag, drag, drag, drag, {}, {}, {}};
   if (v.anchored[block]) {
-    const Quads<N> rest = gather<N>(v.rest, &v.index[lanes * block + lane]);
+    const Float4s<N> rest = gather<N>(v.rest, &v.index[lanes * block + lane]);
     out.gradient = out.gradient + (position - rest.xyz()) * rest.w;
     out.xx += rest.w;
     out.yy += rest.w;
@@ -35,7 +35,7 @@ CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane
   for (uint32_t r = v.row[block]; r < v.row[block + 1]; ++r) {
     const Row& row = v.rows[r];
     const Weights& weights = v.weights[r];
-    const Quads<N> s = gather<N>(v.stiffness, row.tet + lane);
+    const Float4s<N> s = gather<N>(v.stiffness, row.tet + lane);
     const Vec3s<N> a = gather<N>(v.node, row.other[0] + lane).xyz() - position;
     const Vec3s<N> b = gather<N>(v.node, row.other[1] + lane).xyz() - position;
     const Vec3s<N> c = gather<N>(v.node, row.other[2] + lane).xyz() - position;
@@ -89,7 +89,7 @@ CRUMPLE_INLINE void wake_around(const NodeView& v, uint32_t block) {
 }
 
 template <int N>
-void visit(const NodeView& v, uint32_t first, uint32_t last) {
+void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
   for (uint32_t block = first; block < last; ++block) {
     if (!v.awake[block]) continue;
     const unsigned still = v.still[block], touched = v.touched[block];
@@ -97,7 +97,7 @@ void visit(const NodeView& v, uint32_t first, uint32_t last) {
     bool moved = touched != 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const uint32_t* index = &v.index[lanes * block + lane];
-      const Quads<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
+      const Float4s<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
       const Block<N> b = gather_block<N>(v, block, lane, position.xyz(), before);
       if (!v.measure) {
         const Vec3s<N> target = position.xyz() - solve<N>(b) * broadcast<N>(v.relaxation);
@@ -173,7 +173,7 @@ struct Edges {
   Vec3s<N> a, b, c;
 };
 template <int N>
-CRUMPLE_INLINE Edges<N> edges_of(const Quad* node, const TetGroup& group, int lane) {
+CRUMPLE_INLINE Edges<N> edges_of(const Float4* node, const TetGroup& group, int lane) {
   const Vec3s<N> origin = gather<N>(node, group.node[0] + lane).xyz();
   return {gather<N>(node, group.node[1] + lane).xyz() - origin, gather<N>(node, group.node[2] + lane).xyz() - origin,
           gather<N>(node, group.node[3] + lane).xyz() - origin};
@@ -223,7 +223,7 @@ constexpr float lost_volume = 0.02f;  // share of its volume left
 constexpr float lost_stretch = 6;     // mean square of its stretches: four times as long, or two and a half in all directions
 
 template <int N>
-uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing) {
+uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, Float4* stiffness, uint16_t* flowing) {
   uint32_t lost = 0;
   for (uint32_t g = first; g < last; ++g) {
     if (!v.stirred[g]) continue;
@@ -267,8 +267,8 @@ uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness,
 }
 
 template <int N>
-void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
-           double derivative[6]) {
+void line_derivative(const TetView& v, uint32_t first, uint32_t last, const Float4* stiffness, const Float4* direction,
+                     double derivative[6]) {
   constexpr uint32_t together = 16;  // groups summed in single precision
   for (uint32_t begin = first; begin < last; begin += together) {
     Floats<N> sum[lanes / N][6] = {};
@@ -288,7 +288,7 @@ void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffnes
         const Matrices<N> f0 = deformation_of<N>(e, ga, gb, gc), f1 = deformation_of<N>(f, ga, gb, gc);
         uint32_t index[N];
         for (int k = 0; k < N; ++k) index[k] = lanes * g + lane + k;
-        const Quads<N> s = gather<N>(stiffness, index);
+        const Float4s<N> s = gather<N>(stiffness, index);
         // six times the volume along the line: j0 + j1 a + j2 a^2 + j3 a^3, less where it wants to be
         const Vec3s<N> ebc = cross(e.b, e.c), fbc = cross(f.b, f.c), mixed = cross(f.b, e.c) + cross(e.b, f.c);
         const Floats<N> j0 = dot(e.a, ebc) - s.z, j1 = dot(f.a, ebc) + dot(e.a, mixed), j2 = dot(f.a, mixed) + dot(e.a, fbc),
@@ -463,7 +463,7 @@ double energy(const TetView& v, uint32_t first, uint32_t last) {
 
 template <int N>
 constexpr Kernels kernels_of(const char* name) {
-  return {name, visit<N>, renew<N>, slope<N>, flow<N>, energy<N>, anderson_kernels_of<N>()};
+  return {name, relax_nodes<N>, update_secant_moduli<N>, line_derivative<N>, flow<N>, energy<N>, anderson_kernels_of<N>()};
 }
 
 }  // namespace

@@ -12,8 +12,8 @@
 namespace crumple {
 namespace {
 
-Vec3 vec(const Quad& q) { return {q.x, q.y, q.z}; }
-Quad quad(const Vec3& v, float w) { return {v.x(), v.y(), v.z(), w}; }
+Vec3 vec(const Float4& q) { return {q.x, q.y, q.z}; }
+Float4 float4(const Vec3& v, float w) { return {v.x(), v.y(), v.z(), w}; }
 
 // The quadratic in one node: energy = gradient . d + d^T hessian d / 2.
 struct Block {
@@ -25,10 +25,19 @@ struct Block {
 // they meet, far from the car.
 constexpr float farthest_push = 5;
 
-// The lowest point of the block on the planes `active` of this node's contacts, or nothing where a multiplier is negative,
-// another plane is violated or that point is too far.
-bool constrained(const Contact* contacts, int count, unsigned active, const Mat3& inverse, const Vec3& free, Vec3& out,
-                 Vec3& multiplier) {
+// A node in contact: its quadratic, where it stands, and where it would go freely.
+struct NodeProblem {
+  const Contact* contacts;
+  int count;  // of them
+  const Block& block;
+  Mat3 inverse;  // of the hessian
+  Vec3 position, free;
+};
+
+// The lowest point of the quadratic on the planes `active` of this node's contacts, and their multipliers, N. False where a
+// multiplier is negative, another plane is violated or that point is too far.
+bool solve_active_set(const NodeProblem& problem, unsigned active, Vec3& out, Vec3& multiplier) {
+  const auto& [contacts, count, block, inverse, position, free] = problem;
   int chosen[contacts_per_node], size = 0;
   for (int i = 0; i < count; ++i) {
     if (active >> i & 1) chosen[size++] = i;
@@ -61,8 +70,8 @@ bool constrained(const Contact* contacts, int count, unsigned active, const Mat3
 
 // A node on one plane with Coulomb friction: sticks to the obstacle if the force that this needs lies in the cone, else slides
 // against a force on the cone.
-Vec3 rub(const Contact& contact, const Block& block, const Mat3& inverse, const Vec3& position, const Vec3& free,
-         const Vec3& frictionless, float multiplier) {
+Vec3 solve_friction(const NodeProblem& problem, const Contact& contact, const Vec3& frictionless, float multiplier) {
+  const auto& [contacts, count, block, inverse, position, free] = problem;
   const Vec3& n = contact.normal;
   const Vec3 stuck = contact.carried + (contact.offset - n.dot(contact.carried)) * n;
   const Vec3 force = block.gradient + block.hessian * (stuck - position);
@@ -100,9 +109,7 @@ struct Touch {
 void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
   const auto& [all, solver] = *static_cast<const Touch*>(context);
   const Block block = block_of(gradient, hessian);
-  const Mat3 inverse = block.hessian.inverse();
-  const Vec3 position = vec(solver.node[node]);
-  const auto move_to = [&](const Vec3& target) { solver.node[node] = quad(target, 0); };
+  const auto move_to = [&](const Vec3& target) { solver.node[node] = float4(target, 0); };
   const uint32_t first = all.first[node] - 1;
   const Contact* contacts = &all.contact[first];
   int count = 1;
@@ -110,7 +117,10 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
   Held* held = &solver.held[first];
   for (int i = 0; i < count; ++i) held[i].active = false;
 
+  const Mat3 inverse = block.hessian.inverse();
+  const Vec3 position = vec(solver.node[node]);
   const Vec3 free = position - inverse * block.gradient;
+  const NodeProblem problem{contacts, count, block, inverse, position, free};
   bool clear = true;
   for (int i = 0; i < count; ++i) clear = clear && contacts[i].normal.dot(free) >= contacts[i].offset;
   if (clear) return move_to(free);
@@ -119,14 +129,14 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
   Vec3 target, multiplier;
   for (unsigned set : sets) {
     if (set >> count) continue;
-    if (!constrained(contacts, count, set, inverse, free, target, multiplier)) continue;
+    if (!solve_active_set(problem, set, target, multiplier)) continue;
     for (int i = 0; i < count; ++i) held[i].active = set >> i & 1;
     if ((set & (set - 1)) == 0) {
       const int only = set == 1 ? 0 : set == 2 ? 1 : 2;
-      const Vec3 rubbed = rub(contacts[only], block, inverse, position, free, target, multiplier[only]);
+      const Vec3 with_friction = solve_friction(problem, contacts[only], target, multiplier[only]);
       bool inside = false;
-      for (int i = 0; i < count; ++i) inside = inside || contacts[i].normal.dot(rubbed) < contacts[i].offset - 1e-6f;
-      if (!inside) target = rubbed;
+      for (int i = 0; i < count; ++i) inside = inside || contacts[i].normal.dot(with_friction) < contacts[i].offset - 1e-6f;
+      if (!inside) target = with_friction;
     }
     return move_to(target);
   }
@@ -234,10 +244,10 @@ std::array<double, Count> sum_over_groups(const Blocks& blocks, NodalSolver& sol
 }
 
 // Returns how many tets have lost their shape.
-double renew_stiffness(const Blocks& blocks, NodalSolver& solver) {
+double update_stiffness(const Blocks& blocks, NodalSolver& solver) {
   const TetView view = tet_view(blocks, solver);
   return sum_over_groups<1>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
-    sum[0] = kernels().renew(view, first, last, solver.stiffness.data(), solver.flowing.data());
+    sum[0] = kernels().update_secant_moduli(view, first, last, solver.stiffness.data(), solver.flowing.data());
   })[0];
 }
 
@@ -250,13 +260,13 @@ void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, Nod
   if (!body.lost) return;
   std::fill(solver.flowing.begin(), solver.flowing.end(), uint16_t(0xffff));
   std::fill(solver.stirred.begin(), solver.stirred.end(), uint8_t(1));
-  renew_stiffness(blocks, solver);
+  update_stiffness(blocks, solver);
 }
 
 void sweep(const Blocks& blocks, const NodeView& view, Team& team) {
   for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) {
     team.run(blocks.colour[c], blocks.colour[c + 1], blocks_at_once,
-             [&](uint32_t first, uint32_t last) { kernels().visit(view, first, last); });
+             [&](uint32_t first, uint32_t last) { kernels().relax_nodes(view, first, last); });
   }
 }
 
@@ -273,7 +283,7 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
   }
   const TetView view = tet_view(blocks, solver);
   const auto elastic = sum_over_groups<6>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
-    kernels().slope(view, first, last, solver.stiffness.data(), solver.direction.data(), sum);
+    kernels().line_derivative(view, first, last, solver.stiffness.data(), solver.direction.data(), sum);
   });
   for (int k = 0; k < 6; ++k) derivative[k] += elastic[k];
   const auto slope = [&](double a) {
@@ -289,7 +299,7 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
     for (int i = 0; i < 20; ++i) (slope(0.5 * (low + high)) < 0 ? low : high) = 0.5 * (low + high);
   }
   for (size_t i = 0; i < solver.node.size(); ++i) {
-    solver.node[i] = quad(vec(solver.node[i]) + float(low) * vec(solver.direction[i]), 0);
+    solver.node[i] = float4(vec(solver.node[i]) + float(low) * vec(solver.direction[i]), 0);
   }
 }
 
@@ -298,13 +308,13 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
 void predict(const Blocks& blocks, float share, std::span<const Contact> contacts, const Body& body, NodalSolver& solver) {
   for (size_t i = 0; i < body.step.size(); ++i) {
     const bool awake = solver.awake[blocks.place[i] / lanes];
-    solver.direction[i] = awake ? quad(share * body.step[i], 0) : Quad{};
+    solver.direction[i] = awake ? float4(share * body.step[i], 0) : Float4{};
   }
-  std::fill(solver.direction.begin() + ptrdiff_t(body.step.size()), solver.direction.end(), Quad{});
+  std::fill(solver.direction.begin() + ptrdiff_t(body.step.size()), solver.direction.end(), Float4{});
   for (const Contact& contact : contacts) {
     const Vec3 position = vec(solver.node[contact.node]);
     const float depth = std::max(0.0f, contact.offset - contact.normal.dot(position));
-    solver.node[contact.node] = quad(position + depth * contact.normal, 0);
+    solver.node[contact.node] = float4(position + depth * contact.normal, 0);
     solver.direction[contact.node] = {};
   }
   search_line(blocks, solver);
@@ -325,7 +335,7 @@ void keep_still(const Blocks& blocks, NodalSolver& solver) {
 // Springs for the anchored nodes that obstacles reach; together at most `most` N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, const ContactSet& contacts,
                      NodalSolver& solver) {
-  for (size_t i = 0; i < model.node.size(); ++i) solver.rest[i] = quad(model.node[i], 0);
+  for (size_t i = 0; i < model.node.size(); ++i) solver.rest[i] = float4(model.node[i], 0);
   float sum = 0;
   for (const Contact& contact : contacts.contact) {
     const uint32_t node = contact.node;
@@ -363,7 +373,7 @@ void mark_lanes(const Blocks& blocks, std::span<const Contact> contacts, NodalSo
 
 // Who takes part in this sub-step from its start: what an obstacle may hold, and what moved in the last one. All of it where
 // that says too little: a lost shape, a body from elsewhere or partly repaired, one that an obstacle has just let go.
-void rouse(const Blocks& blocks, float quiet, bool held, const Body& body, NodalSolver& solver) {
+void wake_blocks(const Blocks& blocks, float quiet, bool held, const Body& body, NodalSolver& solver) {
   bool moved = false;
   for (size_t i = 0; i < body.step.size(); ++i) {
     if (body.step[i].squaredNorm() <= quiet * quiet) continue;
@@ -435,10 +445,10 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
   const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
   static_assert(lanes == 16);
   for (auto* list : {&solver.node, &solver.before, &solver.rest, &solver.direction}) {
-    list->assign(padded_nodes(n), Quad{});
+    list->assign(padded_nodes(n), Float4{});
   }
   solver.before[n].w = 1;  // what stands in unused lanes must not divide by zero
-  solver.stiffness.assign(padded + 1, Quad{});
+  solver.stiffness.assign(padded + 1, Float4{});
   solver.tets.assign(blocks.group.size(), TetLanes{});
   solver.weights.assign(blocks.rows.size(), Weights{});
   solver.flowing.assign(blocks.group.size(), 0xffff);
@@ -481,15 +491,15 @@ Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, 
   for (uint32_t i = 0; i < count; ++i) {
     const Material& material = parameters.region[model.node_region[i]];
     const float drag = material.viscosity * model.node_mass[i] / model.mass * float(solver.volume) / h;
-    solver.before[i] = quad(body.node[i], drag);
-    solver.node[i] = quad(body.node[i], 0);
+    solver.before[i] = float4(body.node[i], drag);
+    solver.node[i] = float4(body.node[i], 0);
   }
   stiffen_anchors(model, parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, solver);
   const float quiet = settle_speed * h;
   const bool held = !contacts.contact.empty();
-  suspend_flow(blocks, renew_stiffness(blocks, solver), model.tet.size(), held, solver, body);
+  suspend_flow(blocks, update_stiffness(blocks, solver), model.tet.size(), held, solver, body);
   mark_lanes(blocks, contacts.contact, solver);
-  rouse(blocks, quiet, held, body, solver);
+  wake_blocks(blocks, quiet, held, body, solver);
   solver.held.assign(contacts.contact.size(), Held{});
   Touch touch{contacts, solver};
   NodeView view = node_view(blocks, quiet, solver, touch);
@@ -501,7 +511,7 @@ Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, 
   int done = 0;
   while (done < parameters.iterations) {
     solver.step_start = solver.node;
-    renew_stiffness(blocks, solver);
+    update_stiffness(blocks, solver);
     for (int k = 0; k < sweeps_a_step && done < parameters.iterations; ++k, ++done) sweep(blocks, view, solver.team);
     anderson.compare(solver.step_start, solver.node, solver.team, body.history);
     mean = anderson.residual_size() / double(std::max<size_t>(1, awake_nodes(solver)));
@@ -512,7 +522,7 @@ Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, 
       keep_still(blocks, solver);
     }
   }
-  renew_stiffness(blocks, solver);
+  update_stiffness(blocks, solver);
   view.measure = true;
   view.resolve = measure;
   sweep(blocks, view, solver.team);

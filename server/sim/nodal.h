@@ -39,20 +39,20 @@ uint64_t sweep_work(const Model&);
 
 // The solver's memory of one tick, as its kernels want it (kernels.h), with what speeds it up.
 struct NodalSolver {
-  std::vector<Quad> node, before, rest, direction;  // padded_nodes(n)
-  std::vector<Quad> step_start;                     // nodes before the step
-  std::vector<Quad> stiffness;                      // t, padded to whole groups, + 1
-  std::vector<TetLanes> tets;                       // per group of tets
-  std::vector<Weights> weights;                     // per row
-  std::vector<uint8_t> region;                      // t, padded to whole groups
-  std::vector<Law> law;                             // per region
-  std::vector<uint16_t> flowing;                    // per group of tets: which are beyond yield
-  std::vector<uint16_t> still;                      // per block
-  std::vector<uint16_t> touched;                    // per block
-  std::vector<uint8_t> awake;                       // per block: 0 at rest, 1 solved, 2 solved and has moved
-  std::vector<uint8_t> stirred;                     // per group: one of its blocks is awake
-  std::vector<Held> held;                           // per contact
-  double volume = 0;                                // of all tets at rest, m^3
+  std::vector<Float4> node, before, rest, direction;  // padded_nodes(n)
+  std::vector<Float4> step_start;                     // nodes before the step
+  std::vector<Float4> stiffness;                      // t, padded to whole groups, + 1
+  std::vector<TetLanes> tets;                         // per group of tets
+  std::vector<Weights> weights;                       // per row
+  std::vector<uint8_t> region;                        // t, padded to whole groups
+  std::vector<Law> law;                               // per region
+  std::vector<uint16_t> flowing;                      // per group of tets: which are beyond yield
+  std::vector<uint16_t> still;                        // per block
+  std::vector<uint16_t> touched;                      // per block
+  std::vector<uint8_t> awake;                         // per block: 0 at rest, 1 solved, 2 solved and has moved
+  std::vector<uint8_t> stirred;                       // per group: one of its blocks is awake
+  std::vector<Held> held;                             // per contact
+  double volume = 0;                                  // of all tets at rest, m^3
   Anderson anderson;
   Team team;
 };

@@ -136,7 +136,7 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   };
   take("young_modulus", from.young_modulus(), &Material::young_modulus);
   take("poisson_ratio", from.poisson_ratio(), &Material::poisson_ratio);
-  take("yield", from.yield(), &Material::yield);
+  take("yield", from.yield(), &Material::yield_strain);
   take("hardening", from.hardening(), &Material::hardening);
   take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
   take("viscosity", from.viscosity(), &Material::viscosity);
