@@ -18,8 +18,8 @@
 #include "car/car.h"
 #include "sim/deform.h"
 #include "sim/skin.h"
+#include "tick/surface_update.h"
 #include "viewer/surface.h"
-#include "wire/surface.h"
 
 namespace {
 

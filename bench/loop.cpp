@@ -7,7 +7,7 @@
 #include "sim/classic.h"
 #include "sim/deform.h"
 #include "sim/skin.h"
-#include "wire/surface.h"
+#include "tick/surface_update.h"
 
 namespace crumple {
 namespace {

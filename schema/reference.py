@@ -1,9 +1,9 @@
-"""The reference of the protocol, schema/README.md, from the schema files and their comments.
+"""The reference of the protocol: writes the part of schema/README.md below MARK from the schema files and their comments.
 
     python schema/reference.py            writes it
     python schema/reference.py --check    says whether it is up to date
 
-A `///` comment belongs to what follows it, a comment at a line's end to the field before it.
+A `///` comment describes what follows it, a comment at a line's end describes the field before it.
 """
 
 import pathlib
@@ -11,6 +11,7 @@ import re
 import sys
 
 FOLDER = pathlib.Path(__file__).parent
+MARK = "<!-- schema/reference.py writes everything below from the schema files -->"
 TITLES = {
     "message": "Messages",
     "geometry": "Shapes shared by all",
@@ -30,7 +31,7 @@ def escaped(text):
 
 
 def fields(body):
-    """Of a table or struct: name, type with default, what it says; without a name: of those that follow."""
+    """Rows of a table or struct: name, type with default, comment. A row without a name is a comment on the fields below it."""
     rows, said, part = [], [], []
     for line in map(str.strip, body.split("\n")):
         code, slashes, comment = re.fullmatch(r"(.*?)(?:\s*(//+)\s*(.*))?", line).groups()
@@ -71,11 +72,8 @@ def heading(text):
     return [line[2:].removeprefix(" ") for line in re.match(r"(?://(?!/)[^\n]*\n)*", text).group().splitlines()]
 
 
-def page():
-    out = ["# Protocol and file formats", ""]
-    out += ["Made by `schema/reference.py` from the schema files beside it, which are what the programs are built from. All are",
-            "[FlatBuffers](https://flatbuffers.dev); `build/venv/bin/flatc --LANGUAGE schema/message.fbs` makes code to read and write them.",
-            "A field without a default is 0, false or absent. The version of the protocol is the number in the keys: `crumple/1/`.", ""]
+def reference():
+    out = [""]
     for name, title in TITLES.items():
         text = (FOLDER / f"{name}.fbs").read_text()
         out += [f"## {title}: `{name}.fbs`", ""]
@@ -105,8 +103,12 @@ def page():
 
 if __name__ == "__main__":
     target = FOLDER / "README.md"
-    if "--check" in sys.argv[1:]:
-        if not target.exists() or target.read_text() != page():
-            sys.exit("schema/README.md is not what the schema files say: python schema/reference.py writes it")
-    else:
-        target.write_text(page())
+    text = target.read_text()
+    by_hand, mark, _ = text.partition(MARK + "\n")
+    if not mark:
+        sys.exit(f"schema/README.md lacks the line that its reference stands below: {MARK}")
+    page = by_hand + mark + reference()
+    if "--check" not in sys.argv[1:]:
+        target.write_text(page)
+    elif text != page:
+        sys.exit("schema/README.md is not what the schema files say: python schema/reference.py writes it")

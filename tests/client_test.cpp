@@ -16,10 +16,10 @@
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
 #include "io/transport.h"
+#include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 #include "viewer/surface.h"
 #include "wire/encode.h"
-#include "wire/surface.h"
 
 namespace crumple {
 namespace {
@@ -61,7 +61,7 @@ TEST(Client, HoldsAKeyframeAsTheServerEncodedIt) {
   const client::Surface surface = holding(7, quanta);
   EXPECT_EQ(surface.quanta, quanta);
   EXPECT_EQ(surface.tick, 7u);
-  EXPECT_EQ(surface.hash, hash(quanta));
+  EXPECT_EQ(surface.hash, surface_hash(quanta));
   EXPECT_EQ(surface.asset, asset);
   EXPECT_FLOAT_EQ(surface.quantum, 0.0005f);
 }
@@ -180,7 +180,7 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
 // Whatever the bytes, what is held afterwards is a surface whose hash was stated with it.
 void expect_sound(const client::Surface& surface) {
   if (!surface.quanta.empty()) {
-    EXPECT_EQ(hash(surface.quanta), surface.hash);
+    EXPECT_EQ(surface_hash(surface.quanta), surface.hash);
   }
 }
 
@@ -544,14 +544,14 @@ TEST(Client, WithoutANetworkHoldsWhatItIsFed) {
   EXPECT_EQ(fed.feed(cut, delta_key), CRUMPLE_BAD_ARGUMENT);
   EXPECT_NE(std::strstr(crumple_error(), "well-formed"), nullptr) << crumple_error();
   ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
-  EXPECT_EQ(surface.hash, hash(key));
+  EXPECT_EQ(surface.hash, surface_hash(key));
   EXPECT_EQ(fed.feed(delta_bytes, "crumple/1/main/car/a/delta/1"), CRUMPLE_OK);  // of a level that it does not follow
   EXPECT_EQ(fed.feed(delta_bytes, "crumple/1/other/car/a/delta/0"), CRUMPLE_OK);
   ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
   EXPECT_EQ(surface.tick, 1u);
   EXPECT_EQ(fed.feed(delta_bytes, delta_key), CRUMPLE_OK);
   ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
-  EXPECT_EQ(surface.hash, hash(now));
+  EXPECT_EQ(surface.hash, surface_hash(now));
   EXPECT_TRUE(surface.alive);
 
   CarReaction reaction;

@@ -14,6 +14,7 @@
 #include "box_car.h"
 #include "io/obj.h"
 #include "program.h"
+#include "protocol/asset.h"
 #include "recording/gltf.h"
 #include "refusal.h"
 
@@ -60,7 +61,7 @@ TEST(Files, OfALargerFileThanThereIsRoomForNothingIsTaken) {
   EXPECT_EQ(read_file("/proc/self/stat", 100'000, "no").empty(), false);  // claims to be of 0 bytes
   expect_sentence(refusal([&] { (void)read_file("/proc/self/stat", 3, "make it smaller"); }), "stat",
                   "larger than the 3 bytes");
-  std::filesystem::resize_file(files.write("large.car", ""), max_car_size + 1);
+  std::filesystem::resize_file(files.write("large.car", ""), asset_limit + 1);
   expect_sentence(refusal([&] { (void)load_car(files.folder.path / "large.car"); }), "large.car", "larger than the 256 MiB");
 }
 

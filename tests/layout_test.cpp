@@ -1,4 +1,5 @@
-// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie.
+// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie,
+// and what documents say of files.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -20,11 +21,10 @@ struct Source {
   std::string text;
 };
 
-std::vector<Source> sources(const std::string& folder) {
+std::vector<Source> sources(const std::string& folder, const std::set<std::string>& extensions = {".cpp", ".h"}) {
   std::vector<Source> found;
   for (const auto& entry : fs::recursive_directory_iterator(root / folder)) {
-    const auto extension = entry.path().extension();
-    if (extension != ".cpp" && extension != ".h") continue;
+    if (!extensions.count(entry.path().extension())) continue;
     std::ifstream file(entry.path());
     found.push_back({fs::relative(entry.path(), root).string(), {std::istreambuf_iterator<char>(file), {}}});
   }
@@ -39,12 +39,12 @@ std::string folder_of(const std::string& path) { return path.substr(0, path.find
 const std::map<std::string, std::set<std::string>> may_include = {
     {"io", {"io"}},
     {"sim", {"sim"}},
-    {"protocol", {"protocol"}},
-    {"car", {"car", "sim", "schema"}},
+    {"protocol", {"protocol", "schema"}},
+    {"car", {"car", "protocol", "sim", "schema"}},
     {"wire", {"wire", "protocol", "sim", "schema"}},
     {"tick", {"tick", "wire", "car", "protocol", "sim", "schema"}},
-    {"bake", {"bake", "car", "sim", "schema", "io"}},
-    {"viewer", {"viewer", "schema"}},
+    {"bake", {"bake", "car", "protocol", "sim", "schema", "io"}},
+    {"viewer", {"viewer", "protocol", "schema"}},
     {"recording", {"recording", "tick", "viewer", "wire", "car", "protocol", "sim", "schema", "io"}},
     {"service", {"service", "recording", "bake", "tick", "car", "protocol", "schema", "io"}},
     {"gateway", {"gateway", "recording", "bake", "car", "protocol", "sim", "schema", "io"}},
@@ -69,17 +69,56 @@ TEST(Layout, EachFolderIncludesOnlyThoseItMay) {
   EXPECT_GT(checked, 250);
 }
 
-// A row of the table above may name only rows of which none leads back to it.
-TEST(Layout, NoFolderIncludesItselfByWayOfOthers) {
-  std::map<std::string, std::set<std::string>> left = may_include;
-  for (auto& [folder, others] : left) others.erase(folder), others.erase("schema");
-  while (!left.empty()) {
-    const auto free = std::find_if(left.begin(), left.end(), [](const auto& each) { return each.second.empty(); });
-    ASSERT_NE(free, left.end()) << left.begin()->first << " and others include each other";
-    const std::string folder = free->first;
-    left.erase(free);
-    for (auto& [other, named] : left) named.erase(folder);
+// "A includes B includes A", or "" where what each includes leads nowhere back to it.
+std::string circle_in(std::map<std::string, std::set<std::string>> includes) {
+  const auto left = [&includes](const std::string& name) { return includes.contains(name); };
+  while (std::erase_if(includes, [&](const auto& each) { return std::ranges::none_of(each.second, left); }) > 0) {
   }
+  if (includes.empty()) return "";
+  // Everything that is left includes something that is left: a way along these comes round.
+  std::vector<std::string> way;
+  for (std::string at = includes.begin()->first; std::ranges::count(way, at) < 2;
+       at = *std::ranges::find_if(includes[at], left))
+    way.push_back(at);
+  way.erase(way.begin(), std::ranges::find(way, way.back()));
+  std::string circle = way.front();
+  for (size_t i = 1; i < way.size(); ++i) circle += " includes " + way[i];
+  return circle;
+}
+
+TEST(Layout, NoFolderIncludesItselfByWayOfOthers) {
+  auto others = may_include;
+  for (auto& [folder, names] : others) names.erase(folder);
+  EXPECT_EQ(circle_in(others), "");
+}
+
+// The modules of the web client that each of them imports, types too.
+std::map<std::string, std::set<std::string>> web_imports() {
+  const std::regex import("(?:from|import)[\\s(]*[\"'](\\.[^\"']+)\\.js[\"']");
+  std::map<std::string, std::set<std::string>> imports;
+  for (const Source& source : sources("clients/web/src", {".ts"})) {
+    std::set<std::string>& names = imports[source.name];
+    for (std::sregex_iterator i(source.text.begin(), source.text.end(), import), end; i != end; ++i)
+      names.insert((fs::path(source.name).parent_path() / ((*i)[1].str() + ".ts")).lexically_normal().string());
+  }
+  return imports;
+}
+
+TEST(Layout, NoModuleOfTheWebClientImportsItselfByWayOfOthers) {
+  EXPECT_GT(web_imports().size(), 10u);
+  EXPECT_EQ(circle_in(web_imports()), "");
+}
+
+TEST(Layout, ThePackageForBrowsersKnowsNothingOfThePageThatIsMadeWithIt) {
+  const std::string page = "clients/web/src/page/";
+  int checked = 0;
+  for (const auto& [name, others] : web_imports()) {
+    for (const std::string& other : others) {
+      EXPECT_TRUE(name.starts_with(page) || !other.starts_with(page)) << name << " imports " << other;
+      ++checked;
+    }
+  }
+  EXPECT_GT(checked, 50);
 }
 
 TEST(Layout, ClientsKnowNothingOfTheServerButProtocolViewerAndIo) {
@@ -136,7 +175,7 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
       tests.insert((*i)[1].str() + "." + (*i)[2].str());
   std::ifstream file(root / "server/README.md");
   const std::string text{std::istreambuf_iterator<char>(file), {}};
-  const std::regex named("`([A-Z]\\w+\\.)(\\w*)(\\*|…)?`");
+  const std::regex named("`([A-Z]\\w+\\.)([A-Z]\\w*|)(\\*|…)?`");
   int checked = 0;
   for (std::sregex_iterator i(text.begin(), text.end(), named), end; i != end; ++i, ++checked) {
     const std::string name = (*i)[1].str() + (*i)[2].str();
@@ -146,9 +185,108 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
   EXPECT_GT(checked, 25);
 }
 
+// A file in Markdown without what its fences enclose: code links nowhere and has no headings.
+struct Document {
+  fs::path path;
+  std::vector<std::string> lines;
+};
+
+Document read_document(const fs::path& path) {
+  Document document{path, {}};
+  std::ifstream file(path);
+  bool code = false;
+  for (std::string line; std::getline(file, line);) {
+    const bool fence =
+        line.find_first_not_of(' ') != std::string::npos && line.compare(line.find_first_not_of(' '), 3, "```") == 0;
+    code = code != fence;
+    document.lines.push_back(code || fence ? "" : line);
+  }
+  return document;
+}
+
+std::vector<Document> documents() {
+  std::vector<Document> found;
+  for (fs::recursive_directory_iterator i(root), end; i != end; ++i) {
+    const std::string name = i->path().filename().string();
+    if (i->is_directory() && (name[0] == '.' || name == "build" || name == "node_modules")) i.disable_recursion_pending();
+    if (i->is_regular_file() && i->path().extension() == ".md") found.push_back(read_document(i->path()));
+  }
+  return found;
+}
+
+// The anchors of its headings, as GitHub makes them: small letters, no punctuation, a hyphen for a blank, -1 for the second
+// one.
+std::set<std::string> anchors(const Document& document) {
+  std::set<std::string> found;
+  std::map<std::string, int> times;
+  const std::string punctuation = "!\"#$%&'()*+,./:;<=>?@[\\]^`{|}~";
+  const std::regex heading("#{1,6} +(.*?) *"), link("\\[([^\\]]*)\\]\\([^)]*\\)");
+  for (const std::string& line : document.lines) {
+    std::smatch match;
+    if (!std::regex_match(line, match, heading)) continue;
+    std::string anchor;
+    for (const char c : std::regex_replace(match[1].str(), link, "$1")) {
+      if (punctuation.find(c) == std::string::npos) anchor += c == ' ' ? '-' : c >= 'A' && c <= 'Z' ? char(c - 'A' + 'a') : c;
+    }
+    const int before = times[anchor]++;
+    found.insert(before == 0 ? anchor : anchor + "-" + std::to_string(before));
+  }
+  return found;
+}
+
+TEST(Layout, TheReadmeIsAFrontPage) {
+  constexpr int most_lines = 150, most_columns = 120;  // what a reader takes in before going on
+  std::ifstream file(root / "README.md");
+  int lines = 0;
+  for (std::string line; std::getline(file, line);) {
+    ++lines;
+    const auto columns = std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xc0) != 0x80; });  // of UTF-8
+    EXPECT_LE(columns, most_columns) << "README.md:" << lines;
+  }
+  EXPECT_GT(lines, 0);
+  EXPECT_LE(lines, most_lines);
+}
+
+TEST(Layout, EveryLinkOfADocumentLeadsToAPlaceThatIsThere) {
+  const std::regex code("`[^`]*`"), link("\\]\\(([^)\\s]+)[^)]*\\)|(?:href|src)=\"([^\"]+)\""), elsewhere("[a-z]+:.*");
+  int checked = 0;
+  for (const Document& document : documents()) {
+    for (const std::string& line : document.lines) {
+      const std::string prose = std::regex_replace(line, code, "");
+      for (std::sregex_iterator i(prose.begin(), prose.end(), link), end; i != end; ++i) {
+        const std::string target = (*i)[1].str() + (*i)[2].str();
+        if (std::regex_match(target, elsewhere)) continue;
+        ++checked;
+        const size_t hash = target.find('#');
+        const fs::path path = hash == 0 ? document.path : document.path.parent_path() / target.substr(0, hash);
+        const std::string said = fs::relative(document.path, root).string() + ": " + target;
+        EXPECT_TRUE(fs::exists(path)) << said;
+        if (hash == std::string::npos || !fs::exists(path)) continue;
+        EXPECT_TRUE(anchors(read_document(path)).count(target.substr(hash + 1))) << said;
+      }
+    }
+  }
+  EXPECT_GT(checked, 25);
+}
+
+// "`server/setup ...`" or "`clients/scenes/`": from the root. What a build makes is looked for by manual_test.py.
+TEST(Layout, EveryFileThatADocumentNamesIsThere) {
+  const std::regex named("`((?:bench|clients|recordings|schema|server|tests)/[\\w/.]*)");
+  int checked = 0;
+  for (const Document& document : documents()) {
+    for (const std::string& line : document.lines) {
+      for (std::sregex_iterator i(line.begin(), line.end(), named), end; i != end; ++i, ++checked) {
+        EXPECT_TRUE(fs::exists(root / (*i)[1].str())) << fs::relative(document.path, root) << ": " << (*i)[1];
+      }
+    }
+  }
+  EXPECT_GT(checked, 50);
+}
+
 TEST(Layout, TheTopLevelHoldsWhatTheReadmeSaysAndNothingElse) {
-  const std::set<std::string> allowed = {"CMakeLists.txt", "LICENSE", "README.md", "bench", "clients",
-                                         "recordings",     "schema",  "server",    "tests", "build"};
+  const std::set<std::string> allowed = {"CMakeLists.txt", "CMakePresets.json", "LICENSE", "README.md", "bench",
+                                         "clients",        "recordings",        "schema",  "server",    "tests",
+                                         "build"};
   for (const auto& entry : fs::directory_iterator(root)) {
     const std::string name = entry.path().filename().string();
     EXPECT_TRUE(name[0] == '.' || allowed.count(name)) << name;

@@ -14,7 +14,7 @@
 #include "io/transport.h"
 #include "program.h"
 #include "schema/message_generated.h"
-#include "wire/surface.h"
+#include "tick/surface_update.h"
 
 namespace crumple {
 namespace {

@@ -6,8 +6,8 @@
 #include <random>
 
 #include "host.h"
+#include "tick/surface_update.h"
 #include "wire/encode.h"
-#include "wire/surface.h"
 
 namespace crumple {
 namespace {
@@ -336,7 +336,7 @@ TEST(Surface, AViewerHoldsWhatWasSentForAnyNumberOfNodes) {
         viewer.take_delta(part);
       }
       ASSERT_EQ(viewer.held(), surface) << nodes << " nodes";
-      ASSERT_EQ(viewer.surface.hash, hash(std::span<const int16_t>(surface)));
+      ASSERT_EQ(viewer.surface.hash, surface_hash(std::span<const int16_t>(surface)));
     }
   }
 }
@@ -372,23 +372,23 @@ TEST(Surface, ASmoothDentIsAFewBitsANode) {
 }
 
 TEST(Surface, KeyframesComeWhenDueWhenAtRestAndEverySixtyTicks) {
-  Told told;
+  ViewerState told;
   std::vector<int16_t> surface(30);
-  const auto kind = [&](uint64_t tick, bool settled) { return tell({tick, asset, 1}, settled, surface, told).kind; };
-  EXPECT_EQ(kind(1, true), News::Kind::keyframe);  // spawned
-  EXPECT_EQ(kind(2, true), News::Kind::none);
+  const auto kind = [&](uint64_t tick, bool settled) { return update_viewers({tick, asset, 1}, settled, surface, told).kind; };
+  EXPECT_EQ(kind(1, true), SurfaceUpdate::Kind::keyframe);  // spawned
+  EXPECT_EQ(kind(2, true), SurfaceUpdate::Kind::none);
   surface[0] = 1;
-  EXPECT_EQ(kind(3, false), News::Kind::delta);
-  EXPECT_EQ(kind(4, false), News::Kind::none);  // nothing changed
-  EXPECT_EQ(kind(5, true), News::Kind::keyframe);
-  EXPECT_EQ(kind(6, true), News::Kind::none);
+  EXPECT_EQ(kind(3, false), SurfaceUpdate::Kind::delta);
+  EXPECT_EQ(kind(4, false), SurfaceUpdate::Kind::none);  // nothing changed
+  EXPECT_EQ(kind(5, true), SurfaceUpdate::Kind::keyframe);
+  EXPECT_EQ(kind(6, true), SurfaceUpdate::Kind::none);
   for (uint64_t tick = 7; tick < 65; ++tick) {
     ++surface[1];
-    ASSERT_EQ(kind(tick, false), News::Kind::delta) << tick;
+    ASSERT_EQ(kind(tick, false), SurfaceUpdate::Kind::delta) << tick;
   }
-  EXPECT_EQ(kind(65, false), News::Kind::keyframe);
+  EXPECT_EQ(kind(65, false), SurfaceUpdate::Kind::keyframe);
   told.due = true;  // repaired, say
-  EXPECT_EQ(kind(66, true), News::Kind::keyframe);
+  EXPECT_EQ(kind(66, true), SurfaceUpdate::Kind::keyframe);
 }
 
 TEST(Encode, AnswersSayWhyNot) {

@@ -428,7 +428,7 @@ TEST(Viewers, ALateJoinerHoldsTheSurfaceAfterTheKeyframeAndAnyLaterDelta) {
         joiner.take(message);
         ASSERT_EQ(joiner.held(), frame.surface) << "tick " << frame.tick;
         ASSERT_EQ(joiner.surface.tick, frame.tick);
-        ASSERT_EQ(joiner.surface.hash, hash(std::span<const int16_t>(frame.surface)));
+        ASSERT_EQ(joiner.surface.hash, surface_hash(std::span<const int16_t>(frame.surface)));
         ++joined;
       }
     }

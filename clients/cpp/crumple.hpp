@@ -1,6 +1,6 @@
-// crumple_client.h for C++: a session that closes itself, errors that are thrown, commands that wait for their answer. One
-// header, nothing to link beside the library; whatever has no member here is called on the session itself, which stands for its
-// handle. Lifetimes, units and threads are those of crumple_client.h.
+// crumple_client.h for C++. A session closes itself, its functions throw errors, and its commands wait for their answer. This
+// is one header, and you link nothing but the library. A session converts to its handle: pass it to those functions of
+// crumple_client.h that have no member here. Lifetimes, units and threads are as crumple_client.h says.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@
 
 namespace crumple::client {
 
-// One sentence: that of crumple_error(), or why the server refused a command.
+// One sentence: what crumple_error() says, or why the server refused a command.
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -30,9 +30,9 @@ inline int need(int status) {
   return status;
 }
 
-// Of CrumpleOptions.
+// As CrumpleOptions has them.
 struct SessionOptions {
-  std::string connect = "tcp/127.0.0.1:7447";  // empty: no network, all comes by crumple_feed
+  std::string connect = "tcp/127.0.0.1:7447";  // empty: no network, crumple_feed gives all messages
   std::string scene = "main";
   std::string host{};     // empty: a viewer only
   std::string network{};  // empty: none
@@ -59,7 +59,7 @@ class Session {
     return need(crumple_poll(*this, uint64_t(std::max<int64_t>(0, wait.count()))));
   }
 
-  // Commands. Each returns the first tick that knows of it, and throws the server's sentence where it refused.
+  // Commands. Each returns the tick in which the server did it. If the server refuses, it throws the server's sentence.
   uint64_t spawn(const std::string& car, const std::string& asset, const CrumpleSpawn& spawn) {
     uint64_t ticket = 0;
     need(crumple_spawn(*this, car.c_str(), asset.c_str(), &spawn, &ticket));
@@ -91,7 +91,7 @@ class Session {
     need(crumple_load(*this, car.c_str(), state.data(), state.size(), &ticket));
     return settle(ticket).tick;
   }
-  // The answer to a ticket of crumple_spawn and its like: to send many commands first and then wait for them.
+  // Waits for the answer to a ticket of crumple_spawn or another command. So you can send many commands before you wait.
   CrumpleAnswer settle(uint64_t ticket) {
     CrumpleAnswer answer;
     need(crumple_wait(*this, ticket, &answer));
@@ -100,7 +100,7 @@ class Session {
   }
 
   // Host.
-  // Takes a baked car from its file, so that it need not come from the server. Returns its name for spawn().
+  // Takes a baked car from its file, so that the server need not send it. Returns its name for spawn().
   std::string add_asset(const std::string& path) {
     std::ifstream file(path, std::ios::binary);
     const std::string bytes{std::istreambuf_iterator<char>(file), {}};
@@ -128,14 +128,14 @@ class Session {
     crumple_cars(*this, ids.data(), ids.size());
     return {ids.begin(), ids.end()};
   }
-  // Nothing while there is none that is whole and current.
+  // Empty while the session holds no surface that is whole and current.
   std::optional<CrumpleSurface> surface(const std::string& car) {
     CrumpleSurface surface;
     return need(crumple_surface(*this, car.c_str(), &surface)) == CRUMPLE_OK ? std::optional(surface) : std::nullopt;
   }
-  // False while the surface or its mesh is not there.
+  // Returns false while the surface or its mesh is missing.
   bool copy(const std::string& car, CrumpleVertices& out) { return need(crumple_copy(*this, car.c_str(), &out)) == CRUMPLE_OK; }
-  // Waits for it.
+  // Waits until the mesh has come.
   CrumpleMesh mesh(const std::string& asset) {
     CrumpleMesh mesh;
     const auto deadline = std::chrono::steady_clock::now() + std::max(timeout_, std::chrono::milliseconds(10'000));
@@ -146,12 +146,12 @@ class Session {
     return mesh;
   }
 
-  // A bad line, to test a game on; {} makes it good again.
+  // Simulates a bad line, to test a game on it; {} makes the line good again.
   void impair(const CrumpleImpairment& line) { need(crumple_impair(*this, &line)); }
 
-  // The server's now, s; 0 while it is not known.
+  // The server's time now, s; 0 while the session does not know it.
   double time() const { return crumple_time(*this); }
-  // Nothing until the first of the session, which comes within a second.
+  // Empty until the first message of health, which comes within a second.
   std::optional<CrumpleHealth> health() const {
     CrumpleHealth health;
     return crumple_health(*this, &health) == CRUMPLE_OK ? std::optional(health) : std::nullopt;

@@ -1,10 +1,10 @@
-// The door for hosts (games, simulators, scripts) and viewers: one session with one scene of a server, in plain C.
-// Pull-based: nothing is ever called back. crumple_poll takes in what has arrived; everything else reads what it left.
-// Strings and views that come out stay valid until the next crumple_poll or crumple_feed. One thread at a time uses a session.
-// Units are SI, axes of the world are z up, of a car x forward, y left, z up; orientations are unit quaternions (x, y, z, w).
-// Functions that return int give a CrumpleStatus; where it is negative, crumple_error() has the sentence. Any pointer may be
-// NULL and a session closed: where a function needs it, that is CRUMPLE_BAD_ARGUMENT, or 0 where it counts, and nothing is
-// done.
+// The client library in plain C, for hosts (games, simulators, scripts) and viewers. A session belongs to one scene of a
+// server. The library never calls back. crumple_poll takes in the messages that have arrived; all other functions read what it
+// took in. Strings and views that a function gives stay valid until the next crumple_poll or crumple_feed. Only one thread at a
+// time may use a session. Units are SI. In the world z is up; a car has x forward, y left and z up; orientations are unit
+// quaternions (x, y, z, w). Functions that return int return a CrumpleStatus; if it is negative, crumple_error() explains it.
+// Any pointer may be NULL, and any session may be closed: a function that needs it does nothing and returns
+// CRUMPLE_BAD_ARGUMENT, or 0 if the function counts something.
 #pragma once
 
 #include <stddef.h>
@@ -14,7 +14,7 @@
 extern "C" {
 #endif
 
-// Of all structs below; crumple_open refuses another.
+// The version of all structs below; crumple_open refuses any other.
 #define CRUMPLE_CLIENT_VERSION 5u
 
 enum CrumpleStatus {
@@ -28,7 +28,7 @@ enum CrumpleStatus {
   CRUMPLE_NO_MEMORY = -6,     // there was none left
 };
 
-// The sentence for the last error of this thread; valid until its next call.
+// The sentence for the last error of this thread. It stays valid until this thread calls the library again.
 const char* crumple_error(void);
 
 typedef struct Crumple Crumple;
@@ -36,54 +36,55 @@ typedef struct Crumple Crumple;
 typedef struct CrumpleOptions {
   uint32_t version;     // CRUMPLE_CLIENT_VERSION
   uint32_t timeout_ms;  // for the connection and for each command; 0: 2000
-  const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" where the server has a certificate; NULL: see crumple_feed
+  const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" if the server has a certificate; NULL: see crumple_feed
   const char* scene;
   const char* host;     // the id under which this session moves cars; NULL: a viewer only
-  const char* network;  // JSON5 of zenoh's own configuration, laid over ours: TLS, user, password; NULL or "": none
+  const char* network;  // JSON5 in zenoh's own form, laid over our configuration: TLS, user, password; NULL or "": none
 } CrumpleOptions;
 
-// Waits until the server of the scene is seen, at most timeout_ms. The first session of a process sets RUST_MIN_STACK in the
-// environment, if nobody has (32 MiB of address space a thread), and the first over TLS ZENOH_RUNTIME (zenoh breaks such a link
-// otherwise): no other thread may read the environment meanwhile, and the first session over TLS must be the first of the
-// process.
+// Waits until the session sees the server of the scene, for at most timeout_ms. The first session of a process sets
+// RUST_MIN_STACK in the environment if it is not set (32 MiB of address space for each thread). The first session over TLS also
+// sets ZENOH_RUNTIME, because zenoh breaks such a link otherwise. No other thread may read the environment during these calls,
+// and the first session over TLS must be the first session of the process.
 int crumple_open(const CrumpleOptions*, Crumple** out);
-// Waits until what was sent has come to the other end, at most 1 s. A session that was closed stays closed: its handle never
-// comes again, and to close it twice does nothing.
+// Waits until the other end has received everything that the session sent, for at most 1 s. A closed session stays closed: no
+// other session ever gets its handle, and a second call does nothing.
 void crumple_close(Crumple*);
 
-// Takes in what has arrived; waits for at most timeout_us if there is nothing. Returns the number of messages, or a negative
-// Status.
+// Takes in the messages that have arrived; if there are none, it waits for one for at most timeout_us. Returns the number of
+// messages, or a negative CrumpleStatus.
 int crumple_poll(Crumple*, uint64_t timeout_us);
 
 typedef struct CrumpleStatistics {
   uint64_t received, received_bytes;  // all messages
-  uint64_t surface, surface_bytes;    // keyframes and deltas among them
-  uint64_t older, refused, asked;     // dropped as older than what is held; malformed; keyframes asked for
+  uint64_t surface, surface_bytes;    // the keyframes and deltas among them
+  uint64_t older, refused, asked;     // dropped because the session held newer ones; malformed; queries for a keyframe
 } CrumpleStatistics;
 void crumple_statistics(const Crumple*, CrumpleStatistics* out);
 
-// The server's time now, s, as in CrumpleReaction: what came soonest of the last second or two tells it, so it may be late by a
-// message's way, and step a little. 0: nothing has come yet. Without a network: that of the newest tick.
+// The server's time now, s, as in CrumpleReaction. The session takes it from the message of the last one or two seconds that
+// travelled fastest, so it may be late by the time that a message travels, and may step a little. 0: no message has come yet.
+// Without a network it is the time of the newest tick.
 double crumple_time(const Crumple*);
 
-// A bad line, to test a game on: from now on the poses that this session sends, and all that is published to it, are late or
-// lost, each message by itself, so that they overtake one another; poses leave with the next crumple_poll. The same seed draws
-// alike. Commands, questions and their answers come as ever. All 0: the line is good again, once what is under way has come.
+// Simulates a bad line, to test a game on it. From now on the session delays or loses the poses that it sends and everything
+// that is published to it: each message by itself, so that messages overtake each other. Poses leave with the next
+// crumple_poll. The same seed draws the same numbers. Commands, queries and their answers are not impaired. If all fields are
+// 0, the line is good again as soon as the delayed messages have come.
 typedef struct CrumpleImpairment {
-  float delay, jitter;  // s; one way, evenly between delay - jitter and delay + jitter; up to 60
-  float loss, repeat;   // shares, 0 to 1: of what is lost, and of what comes twice
+  float delay, jitter;  // s, one way: each message takes between delay - jitter and delay + jitter, drawn evenly; up to 60
+  float loss, repeat;   // shares of the messages, 0 to 1, that the line loses, and that come twice
   uint32_t seed;
 } CrumpleImpairment;
 int crumple_impair(Crumple*, const CrumpleImpairment*);
 
-// A session without `connect` has no network: it takes in what it is given here, for recordings, tests and other ways to carry
-// messages. key: the message's, which is its topic in a recording. A message that the session does not follow is passed over;
-// one that does not hold is CRUMPLE_BAD_ARGUMENT and changes nothing. A delta whose keyframe is not held counts as `asked` in
-// CrumpleStatistics: to be given the keyframe.
+// Gives a message to a session without a network, which was opened without `connect`: from a recording, in a test, or by
+// another way to carry messages. key: the key of the message, which is its topic in a recording. The session ignores a message
+// that it does not follow. A malformed message changes nothing and returns CRUMPLE_BAD_ARGUMENT. If the session does not hold
+// the keyframe of a delta, it counts that in CrumpleStatistics.asked: give it the keyframe.
 int crumple_feed(Crumple*, const char* key, const void* bytes, size_t size);
 
-// ---- commands: each gives a ticket; its answer comes by crumple_poll
-// ---------------------------------------------------------
+// ---- commands: each function gives a ticket, and crumple_poll takes in the answer
 
 typedef struct CrumplePose {
   double position[3];
@@ -95,44 +96,44 @@ typedef struct CrumpleSpawn {
   float mass;        // kg; 0: the baked car's
   float inertia[3];  // kg m^2 about the centre of mass, along the car's axes; all 0: the baked car's, in proportion to mass
   float center_of_mass[3];  // m; all 0: the baked car's
-  int planar;               // 1: on its wheels, contacts slow it in x, y and yaw only
+  int planar;               // 1: the car is on its wheels, and contacts slow it in x, y and yaw only
 } CrumpleSpawn;
 
-// crumple_keep() keeps everything; set what should change. Ranges: the server's server/sim/material.h.
+// Begin with crumple_keep(), which keeps every parameter, and set those that should change. server/sim/material.h has their
+// ranges.
 typedef struct CrumpleParameters {
-  int solver;                                                                      // 0 nodal, 1 classic; -1: keep
-  uint32_t iterations, substeps;                                                   // 0: keep
-  float tolerance;                                                                 // NaN: keep
-  int region;                                                                      // which the fields below are for; -1: all
+  int solver;                     // 0 nodal, 1 classic; -1: keep
+  uint32_t iterations, substeps;  // 0: keep
+  float tolerance;                // NaN: keep
+  int region;                     // the one that the fields below are for; -1: all
   float young_modulus, poisson_ratio, yield, hardening, plastic_limit, viscosity;  // NaN: keep
   float distance_stiffness, volume_stiffness, plasticity;                          // NaN: keep; of `classic`
 } CrumpleParameters;
 CrumpleParameters crumple_keep(void);
 
-// asset: hash of the baked car, 16 hexadecimal digits.
+// asset: the hash of the baked car, 16 hexadecimal digits.
 int crumple_spawn(Crumple*, const char* car, const char* asset, const CrumpleSpawn*, uint64_t* ticket);
 int crumple_despawn(Crumple*, const char* car, uint64_t* ticket);
-// amount: share of the damage that is taken away, in [0, 1].
+// amount: the share of the damage that the server takes away, in [0, 1].
 int crumple_repair(Crumple*, const char* car, float amount, uint64_t* ticket);
 int crumple_set_parameters(Crumple*, const char* car, const CrumpleParameters*, uint64_t* ticket);
-// The answer carries the state; crumple_load takes it back, for any car of the same asset.
+// The answer has the deformation of the car as its state. crumple_load gives that to any car of the same asset.
 int crumple_save(Crumple*, const char* car, uint64_t* ticket);
 int crumple_load(Crumple*, const char* car, const void* state, size_t size, uint64_t* ticket);
 
 typedef struct CrumpleAnswer {
   int ok;
-  uint64_t tick;         // the first tick that knows of it
-  const char* sentence;  // why not, where ok is 0
-  const uint8_t* state;  // of crumple_save
+  uint64_t tick;         // in which the server did it
+  const char* sentence;  // if ok is 0: why the server refused
+  const uint8_t* state;  // the answer to crumple_save
   size_t state_size;
 } CrumpleAnswer;
-// CRUMPLE_OK: the answer is there (of the last 256 commands); CRUMPLE_PENDING; CRUMPLE_NO_ANSWER.
+// Returns CRUMPLE_OK if the answer is there (the session keeps the last 256), CRUMPLE_PENDING or CRUMPLE_NO_ANSWER.
 int crumple_answer(Crumple*, uint64_t ticket, CrumpleAnswer* out);
-// Polls until the answer is there or the session's timeout has passed.
+// Polls until the answer is there or the timeout of the session has passed.
 int crumple_wait(Crumple*, uint64_t ticket, CrumpleAnswer* out);
 
-// ---- host
-// --------------------------------------------------------------------------------------------------------------------
+// ---- hosts
 
 typedef struct CrumpleCarPose {
   const char* car;
@@ -140,10 +141,10 @@ typedef struct CrumpleCarPose {
   float velocity[3];          // of the centre of mass, m/s, world
   float angular_velocity[3];  // rad/s, world
   uint64_t seen;              // tick of the last reaction that pose and velocity contain; 0: the car follows a script
-  float importance;           // in (0, 1]: how much it matters now, which chooses its level; 0: 1
+  float importance;           // in (0, 1]: how much the car matters now, by which the server chooses its level; 0: 1
 } CrumpleCarPose;
-// All cars of this host in one message; sequence numbers are the session's own. time: the host's clock, s.
-int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose*, size_t count);
+// Sends all cars of this host in one message, which the session numbers. time: the host's clock, s.
+int crumple_publish_poses(Crumple*, double time, const CrumpleCarPose* cars, size_t count);
 
 enum CrumpleShape { CRUMPLE_BOX, CRUMPLE_SPHERE, CRUMPLE_CAPSULE, CRUMPLE_HALF_SPACE, CRUMPLE_HULL };
 
@@ -154,69 +155,70 @@ typedef struct CrumpleObstacle {
   const float* points;  // hull: 3 floats each
   size_t point_count;
   CrumplePose pose;
-  float velocity[3], angular_velocity[3];  // it moves on with these
-  float friction;                          // Coulomb
+  float velocity[3], angular_velocity[3];  // the obstacle moves on with these
+  float friction;                          // Coulomb's coefficient
 } CrumpleObstacle;
-// The whole list of this host; replaces the one before.
-int crumple_publish_obstacles(Crumple*, const CrumpleObstacle*, size_t count);
+// Sends the whole list of this host, which replaces the list before.
+int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
 typedef struct CrumpleReaction {
   const char* car;
   uint64_t tick;
-  double time;                           // of the server's ticks, s
-  float impulse[3], angular_impulse[3];  // of the tick, N s and N m s about the centre of mass, world
+  double time;                           // s, by the server's ticks
+  float impulse[3], angular_impulse[3];  // of this tick: N s, and N m s about the centre of mass; world
   CrumplePose pose;                      // at the end of the tick
   float velocity[3], angular_velocity[3];
   double energy_absorbed, energy_stored;  // J since spawn
   float deepest;                          // m
   uint32_t contacts;
 } CrumpleReaction;
-// The next reactions not yet taken, oldest first; beyond 4096 waiting the oldest are dropped. Returns how many.
+// Gives reactions that were not taken yet, oldest first, and returns how many it gave. While more than 4096 wait, the session
+// drops the oldest.
 size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
 
-// ---- viewer
-// ------------------------------------------------------------------------------------------------------------------
+// ---- viewers
 
-// From now on this car's surface is held; NULL: every car's, those present and those to come. level 0: told every tick, in the
-// scene's quantum; 1: for who is far, told ten times a second, in eight times that. To be called again with the other one as
-// often as that changes: what is held stays until the first keyframe of the new level, which in a crash may be up to a second
-// older.
+// From now on the session holds the surface of this car; NULL: of every car that is there or comes. level 0: the server sends
+// the surface in every tick, in the scene's quantum; 1, for a viewer that is far away: ten times a second, in eight times that
+// quantum. Call it again to change the level, as often as you like: the session keeps the surface that it holds until the first
+// keyframe of the new level comes, which in a crash may be up to a second older.
 int crumple_follow(Crumple*, const char* car, int level);
-// Ids of the cars that this session holds or follows. Returns how many there are.
+// Gives the ids of the cars that this session holds or follows, and returns how many there are.
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
 
 typedef struct CrumpleSurface {
-  uint64_t tick;          // the newest one held whole
-  uint64_t hash;          // XXH64 of the quantised displacements, as the server states it
-  uint32_t node_count;    // of the skin: those that a vertex moves with
-  float quantum;          // m; of the level that is held
+  uint64_t tick;          // the newest tick of which the session holds every part
+  uint64_t hash;          // XXH64 of the displacements in quanta, equal to the server's
+  uint32_t node_count;    // nodes that the skin uses: those that a vertex moves with
+  float quantum;          // m; of the level that the session holds
   const char* asset;      // hash of the baked car
-  const int16_t* quanta;  // 3 a node: displacement from rest in quanta, car's frame
-  int dirty;              // no crumple_copy of this car has shown it yet
-  int alive;              // 0: despawned, or its server is gone; without a network always 1
+  const int16_t* quanta;  // 3 for each node: displacement from rest in quanta, car's frame
+  int dirty;              // 1: crumple_copy has not given this surface yet
+  int alive;              // 0: the car was despawned, or its server is gone; without a network always 1
 } CrumpleSurface;
-// CRUMPLE_PENDING: followed, but nothing whole has arrived yet; or the session was not polled for half a second, and what is
-// current has not arrived since: keep what was drawn.
+// CRUMPLE_PENDING means: the session follows the car, but no whole surface has come yet; or nobody polled the session for half
+// a second, and the current surface has not come since. Then keep what you drew.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
 
-// Where crumple_copy writes, 3 floats a vertex in the car's frame: arrays of their own (stride 12), or members of one vertex
-// (its size). NULL: not wanted.
+// Where crumple_copy writes 3 floats for each vertex, in the car's frame: into separate arrays (stride 12), or into members of
+// your vertex struct (stride: its size). NULL: leave it out.
 typedef struct CrumpleVertices {
   float* position;      // m
   float* displacement;  // from rest, m
-  float* normal;        // of length 1: of the triangles around the vertex, weighted by their area
+  float* normal;        // of length 1: the mean of the triangles around the vertex, weighted by their area
   size_t stride;        // bytes from one vertex to the next
-  size_t capacity;      // vertices that there is room for
-  // 0 or less: the newest that is held. Otherwise what was at that time, s, of the last half second; between two ticks the way
-  // from one to the other. crumple_time() - 0.1, the same for the poses, moves smoothly however unevenly messages come.
+  size_t capacity;      // number of vertices that fit
+  // 0 or less: the newest surface. Otherwise the surface at this time, s, which may be up to half a second ago; between two
+  // ticks the vertices are on the way from the one to the other. With crumple_time() - 0.1 here, and for the poses, a car moves
+  // smoothly however unevenly messages come.
   double time;
-  // Set by crumple_copy: outside of these `count` vertices nothing is other than after the last crumple_copy of this car.
+  // crumple_copy sets these: only the `count` vertices from `first` on may differ from the last crumple_copy of this car.
   uint32_t first, count;
 } CrumpleVertices;
-// Needs the asset (crumple_mesh), and asks for it: CRUMPLE_PENDING until it has arrived.
+// crumple_copy needs the asset, as crumple_mesh does, asks the server for it, and returns CRUMPLE_PENDING until it has come.
 int crumple_copy(Crumple*, const char* car, CrumpleVertices*);
 
-// The undamaged car, from the server, once per asset.
+// The undamaged car. The server sends it once for each asset.
 typedef struct CrumpleMesh {
   uint32_t vertex_count, triangle_count;
   const float* vertex;       // 3 each, m, car's frame
@@ -226,16 +228,16 @@ typedef struct CrumpleMesh {
   const char* name;
   const char* attribution;  // must be shown where the car is shown
 } CrumpleMesh;
-// CRUMPLE_PENDING until it has arrived. Views live as long as the session.
+// Returns CRUMPLE_PENDING until the asset has come. The pointers stay valid as long as the session.
 int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
-// Takes a baked car that the caller has as a file, so that it need not come from the server. hash: its name for crumple_spawn.
+// Takes a baked car that you have as a file, so that the server need not send it. hash: its name for crumple_spawn.
 int crumple_add_asset(Crumple*, const void* car, size_t size, char hash[17]);
 
 typedef struct CrumpleHealth {
-  uint64_t tick, late;      // late: ticks that could not start in time
+  uint64_t tick, late;      // late: number of ticks that began late
   float rate;               // ticks a second
-  float tick_ms, worst_ms;  // of the last second's ticks: mean and worst
-  uint64_t refusals;        // all reasons together
+  float tick_ms, worst_ms;  // duration of the ticks of the last second: mean and worst
+  uint64_t refusals;        // messages that the server refused, for any reason
 } CrumpleHealth;
 int crumple_health(const Crumple*, CrumpleHealth* out);
 

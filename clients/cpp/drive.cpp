@@ -1,7 +1,7 @@
-// The scripted host. Per host tick: take the reactions, move the car, publish its pose. A reaction with contact is absolute:
-// pose and velocity become those the server reached (while reactions flow the newest is younger than a tick, so the pose is the
-// one at which the next tick begins). Without contact the host's own motion goes on: a reaction is one or two ticks old and
-// does not know yet that the car brakes.
+// The host that follows a script. In each host tick it takes the reactions, moves the car, and publishes its pose. After a
+// reaction with contact, pose and velocity become those that the server reached: while reactions come, the newest is less than
+// a tick old, so this is the pose at which the next tick begins. Without contact the host's own motion goes on, because a
+// reaction is one or two ticks old and does not know yet that the car brakes.
 #include "cpp/drive.h"
 
 #include <Eigen/Geometry>
@@ -14,9 +14,8 @@
 #include "cpp/crumple.hpp"
 #include "cpp/scene.h"
 #include "io/files.h"
-
-#define XXH_INLINE_ALL
-#include <xxhash.h>
+#include "protocol/asset.h"
+#include "protocol/key.h"
 
 namespace crumple::client {
 namespace {
@@ -25,14 +24,13 @@ using Eigen::Quaterniond;
 using Eigen::Vector3d;
 using Clock = std::chrono::steady_clock;
 
-constexpr size_t car_limit = size_t{256} << 20;  // bytes of a baked car, as those that a server takes
-constexpr double gravity = 9.81;                 // m/s^2
-constexpr double braking = 0.7 * gravity;        // locked wheels on a dry road
-constexpr double silence = 2;                    // s: a server that is late in a crash is not heard of for so long
-constexpr double patience = 60;                  // s beyond the scene's, for a server that is late
-constexpr double yaw_braking = 5;  // rad/s^2: the same at wheels 1.3 m from the centre of a car of 1500 kg, 2600 kg m^2
+constexpr double gravity = 9.81;           // m/s^2
+constexpr double braking = 0.7 * gravity;  // locked wheels on a dry road
+constexpr double silence = 2;              // s: a server that is late in a crash may send nothing for so long
+constexpr double patience = 60;            // s beyond those of the scene, for a server that is late
+constexpr double yaw_braking = 5;  // rad/s^2: braking at wheels 1.3 m from the centre of a car of 1500 kg and 2600 kg m^2
 
-// Progress is seen at once, also through a pipe.
+// Prints progress at once, also through a pipe.
 template <class... Values>
 void say(const char* format, Values... values) {
   std::printf(format, values...);
@@ -48,7 +46,7 @@ void copy(const Vector3d& from, float* to) {
   for (int axis = 0; axis < 3; ++axis) to[axis] = static_cast<float>(from[axis]);
 }
 
-// The car as the host moves it.
+// The motion that the host gives its car.
 struct Moving {
   Vector3d position = Vector3d::Zero();
   Quaterniond orientation = Quaterniond::Identity();
@@ -56,7 +54,7 @@ struct Moving {
   Vector3d center = Vector3d::Zero();  // of mass, car's frame
   uint64_t seen = 0;
   bool hit = false, touching = false;
-  double told_seconds = 0;  // of the server's time: news of this host tick
+  double told_seconds = 0;  // by the server: how much time the reactions of this host tick add
   double silence = 0;       // s without a reaction
 
   void advance(double seconds) {
@@ -101,7 +99,7 @@ struct Result {
   double absorbed = 0;               // J
 };
 
-// Everything that a run needs at hand.
+// All that a run needs.
 struct Run {
   const DriveOptions& options;
   const schema::SceneT& scene;
@@ -109,22 +107,20 @@ struct Run {
   const std::atomic<bool>& stop;
   Session session;
   double rate = 60, mass = 0;
-  double tick_ms = 0, worst_ms = 0;  // of the server: mean of its busiest second, and the longest tick
+  double tick_ms = 0, worst_ms = 0;  // of the server: the mean of its busiest second, and its longest tick
   uint64_t late = 0;
   CrumpleReaction last{};   // the newest
-  uint64_t tick = 0;        // the server's newest, as far as this host knows
+  uint64_t tick = 0;        // the server's newest that this host knows
   double server_rate = 60;  // ticks a second, until health says otherwise
-  double energy = 0;        // absorbed since spawn, as of the last reaction
+  double energy = 0;        // J, absorbed since spawn, by the last reaction
   Clock::time_point start = Clock::now();
 };
 
 std::string hash_of_car(const std::string& car) {
   if (car.empty()) throw std::runtime_error("no car is given: --car FILE, the same as for `crumple serve`");
-  if (car.size() == 16 && car.find_first_not_of("0123456789abcdef") == std::string::npos) return car;
-  const std::string bytes = read_file(car, car_limit, "give the file that `crumple bake` wrote, or its hash");
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
-  return digits;
+  if (is_hash(car)) return car;
+  const std::string bytes = read_file(car, asset_limit, "give the file that `crumple bake` wrote, or its hash");
+  return hash_of(bytes.data(), bytes.size());
 }
 
 void took(Run& run, uint64_t tick) { run.tick = std::max(run.tick, tick); }
@@ -175,7 +171,7 @@ Vector3d begin(Run& run) {
   run.mass = run.scene.mass > 0 ? run.scene.mass : mesh.mass;
   try {
     took(run, session.spawn(id, asset, spawn));
-  } catch (const Error& refused) {  // perhaps an earlier run has left its car
+  } catch (const Error& refused) {  // an earlier run may have left its car
     attempt("spawn the car: " + std::string(refused.what()), [&] { took(run, session.despawn(id)); });
     attempt("spawn the car", [&] { took(run, session.spawn(id, asset, spawn)); });
   }
@@ -225,7 +221,7 @@ void publish_pose(Run& run, const Moving& car) {
   run.session.publish(seconds_since(run.start), {&pose, 1});
 }
 
-// Comes once a second.
+// The server sends health once a second.
 void take_health(Run& run) {
   const auto health = run.session.health();
   if (!health) return;
@@ -236,7 +232,7 @@ void take_health(Run& run) {
   run.late = health->late;
 }
 
-// Largest displacement of a node of the skin against the direction of travel (car's frame), as this viewer holds it.
+// Gives the largest displacement of a node of the skin against the direction of travel (car's frame), by the session's surface.
 double crush(Run& run, const Vector3d& travel) {
   const auto surface = run.session.surface(run.options.id);
   if (!surface) return 0;
@@ -272,15 +268,15 @@ bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
   }
   car.silence = any ? 0 : car.silence + 1 / run.rate;
   if (!any) return false;
-  // 1 m/s: more than braking explains in the ticks that a reaction is late, so a reaction with contact was lost.
+  // In the ticks that a reaction is late, braking explains less than 1 m/s; so a reaction with contact was lost.
   if (!touched && (!car.hit || (vector_of(run.last.velocity) - car.velocity).norm() < 1)) return false;
   car.hit = true;
   adopt(run.last, car);
   return true;
 }
 
-// What the road and gravity do to the velocity in one host tick. A car that falls does so in the server's time, tick by tick as
-// reactions tell of it: if ticks are late while it lies on the ground, ours would press it ever harder.
+// Changes the velocity as the road and gravity do in one host tick. A car falls by the server's time, tick by tick as reactions
+// come: by the host's time it would be pressed ever harder against the ground if the server's ticks are late.
 void slow_down(bool planar, double seconds, Moving& car) {
   if (!planar) {
     const bool told = car.silence < silence;
@@ -308,7 +304,7 @@ Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep
   if (hit.repair > 0) attempt("repair the car", [&] { took(run, run.session.repair(run.options.id, hit.repair)); });
   publish_obstacles(run);
   Moving car = at_start(hit, center);
-  // Where it starts it knows of every tick so far: the hits before are history, and what comes is news.
+  // At the start it knows every tick so far, so only reactions to this hit count.
   while (const auto stale = run.session.next_reaction()) took(run, stale->tick);
   car.seen = run.tick;
   const Vector3d travel = vector_of(*hit.direction).normalized(), in_car = car.orientation.conjugate() * travel;
@@ -319,7 +315,7 @@ Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep
   const uint64_t tick_begun = run.tick;
   for (int64_t i = 0; !run.stop; ++i) {
     const double time = static_cast<double>(i) * step;
-    // A server that is late in a crash is behind our clock: it gets the time that it needs. Health is up to 1 s old.
+    // A server that is late in a crash is behind the host's clock, so it gets the time that it needs. Health is up to 1 s old.
     take_health(run);
     const double server_seconds = static_cast<double>(run.tick - tick_begun) / run.server_rate;
     if (time >= hit.seconds && (server_seconds > hit.seconds - 1.1 || time > hit.seconds + patience)) break;

@@ -1,5 +1,5 @@
-// `crumple drive SCENE`: a host that behaves well, written once, to copy from. It moves its car along a script until something
-// is hit, takes back pose and velocity from the reactions, brakes to rest, and says what happened.
+// `crumple drive SCENE` is a host that behaves well, for others to copy from. It moves its car along a script until the car
+// hits something, takes pose and velocity from the reactions, brakes to rest, and says what happened.
 #pragma once
 
 #include <atomic>

@@ -1,5 +1,5 @@
-// The host's side of a session: structs in, messages out. What the server would refuse for its form is refused here already,
-// with the name of the field.
+// The host's side of a session makes messages of structs. It already refuses what the server would refuse for its form, and
+// names the field.
 #include <cmath>
 #include <limits>
 
@@ -42,7 +42,7 @@ int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder
   if (!session.net) return fail(CRUMPLE_CLOSED, no_network);
   if (session.host.empty()) return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
   const std::string key = session.root + "host/" + session.host + "/" + what;
-  // Obstacles are told once: a line that loses them for good is none that there is.
+  // A bad line impairs poses only: obstacles are sent once, and no real line loses them for good.
   const bool lossy = std::string_view(what) == "poses";
   if (lossy && impair(session.impaired, true, key, {builder.GetBufferPointer(), builder.GetSize()})) return CRUMPLE_OK;
   const int status = net_put(session.net, key.c_str(), builder.GetBufferPointer(), builder.GetSize(), NET_REAL_TIME);
@@ -163,7 +163,7 @@ int crumple_answer(Crumple* handle, uint64_t ticket, CrumpleAnswer* out) {
 
 int crumple_wait(Crumple* handle, uint64_t ticket, CrumpleAnswer* out) {
   return with(handle, {{"out", out}}, [&](Crumple* session) -> int {
-    // A little longer than the query itself, whose end is the sentence that the caller should get.
+    // A little longer than the query itself, because its end brings the sentence that the caller should get.
     const auto deadline = Clock::now() + session->timeout + std::chrono::seconds(1);
     for (;;) {
       const int status = find_answer(*session, ticket, out);

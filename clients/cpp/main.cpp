@@ -1,4 +1,4 @@
-// The program's own host and viewer, built on the client library as a game is. `crumple drive` and `crumple watch` run it.
+// The program's own host and viewer use the client library, as a game does. `crumple drive` and `crumple watch` run this.
 #include <CLI/CLI.hpp>
 #include <atomic>
 #include <csignal>
@@ -16,7 +16,7 @@ using namespace crumple::client;
 std::atomic<bool> stop{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
 
-// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+// A second Ctrl-C ends the program at once, in case the first one waits for a disk or a network that hangs.
 void on_signal(int signal) {
   stop = true;
   std::signal(signal, SIG_DFL);
@@ -30,11 +30,11 @@ CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
   add_network(verb, options.network);
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
   verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
-  verb.add_option("--id", options.id, "id of the car that is spawned")->check(id)->capture_default_str();
-  verb.add_option("--preset", options.preset, "how the car bends, laid over the scene's parameters; see clients/presets")
+  verb.add_option("--id", options.id, "id of the car that it spawns")->check(id)->capture_default_str();
+  verb.add_option("--preset", options.preset, "file of parameters, laid over those of the scene; see clients/presets")
       ->type_name("FILE");
   verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
-  verb.add_flag("--leave", options.leave, "leaves the car in the scene");
+  verb.add_flag("--leave", options.leave, "leaves the car in the scene at the end");
   verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");
   return verb;
 }
@@ -45,12 +45,13 @@ CLI::App& add_watch(CLI::App& app, WatchOptions& options) {
   add_network(verb, options.network);
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
-  verb.add_option("--level", options.level, "0: as who is near; 1: as who is far, coarser and ten times a second")
+  verb.add_option("--level", options.level,
+                  "0: for a viewer that is near; 1: for one that is far, coarser and ten times a second")
       ->check(CLI::Range(0, 1))
       ->capture_default_str();
-  verb.add_flag("--once", options.once, "ends as soon as a surface is held; fails if none came in 10 s");
+  verb.add_flag("--once", options.once, "ends as soon as it holds a surface; fails if none comes in 10 s");
   verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
-  verb.add_option("--obj", options.obj, "writes the surface that is held at the end")->type_name("FILE.obj");
+  verb.add_option("--obj", options.obj, "writes the surface that it holds at the end")->type_name("FILE.obj");
   verb.footer("Example: crumple watch --seconds 10 --obj dented.obj");
   return verb;
 }
@@ -69,7 +70,8 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
     std::signal(SIGINT, on_signal);
     std::signal(SIGTERM, on_signal);
-    std::signal(SIGXFSZ, SIG_IGN);  // a file at the limit of this process cannot be written: a sentence, not the end
+    // So a write beyond this process's limit of file size fails with a sentence and does not kill the process.
+    std::signal(SIGXFSZ, SIG_IGN);
     return drive_verb.parsed() ? drive(drive_options, stop) : watch(watch_options, stop);
   } catch (const CLI::Success& asked) {  // --help
     return app.exit(asked);

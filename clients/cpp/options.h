@@ -1,4 +1,4 @@
-// Options that the program's clients share.
+// The options that both clients of the program have.
 #pragma once
 
 #include <CLI/CLI.hpp>
@@ -16,7 +16,7 @@ inline const CLI::Validator id(
     },
     "ID");
 
-// text: what the file holds.
+// text: gets the content of the file.
 inline void add_network(CLI::App& verb, std::string& text) {
   const auto read = [&text](const std::string& path) {
     try {
@@ -27,7 +27,8 @@ inline void add_network(CLI::App& verb, std::string& text) {
     if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
   };
   verb.add_option_function<std::string>(
-          "--network", read, "zenoh's own configuration, laid over ours: TLS, a user, certificates; see clients/network.json5")
+          "--network", read,
+          "configuration in zenoh's own form, laid over ours: TLS, a user, certificates; see clients/network.json5")
       ->type_name("FILE.json5");
 }
 

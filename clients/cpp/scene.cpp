@@ -1,4 +1,4 @@
-// The schema is part of the program in its binary form, so that a scene can be read wherever the program runs.
+// The program contains the schema in binary form, so that it can read scenes wherever it runs.
 #include "cpp/scene.h"
 
 #include <flatbuffers/idl.h>
@@ -39,7 +39,7 @@ typename Table::NativeTableType parse(const std::string& file, const char* root)
   flatbuffers::Parser parser;
   if (!parser.Deserialize(scene_schema, static_cast<size_t>(scene_schema_end - scene_schema)) || !parser.SetRootType(root))
     refuse(file, "the schema inside this program is damaged: build it again");
-  // The parser's sentence begins with file and line.
+  // The sentence of the parser begins with file and line.
   if (!parser.ParseJson(text.c_str(), file.c_str())) throw std::runtime_error(parser.error_ + " (its form: schema/scene.fbs)");
   typename Table::NativeTableType out;
   flatbuffers::GetRoot<Table>(parser.builder_.GetBufferPointer())->UnPackTo(&out);

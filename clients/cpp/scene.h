@@ -8,7 +8,7 @@
 
 namespace crumple::client {
 
-// Throws std::runtime_error: file, line and what is wrong there; or which value is out of its range.
+// They throw std::runtime_error with file, line and what is wrong there, or with the value that is out of its range.
 schema::SceneT read_scene(const std::string& file);
 schema::PresetT read_preset(const std::string& file);
 

@@ -1,9 +1,6 @@
-// A session: opening, taking in what arrives, and the viewer's side. Messages are checked before a field of them is used; one
-// that does not hold is counted as refused and leaves everything as it was.
+// Opens a session, takes in messages, and has the viewer's side. It checks a message before it uses a field of it. A malformed
+// message counts as refused and changes nothing.
 #include "cpp/session.h"
-
-#define XXH_INLINE_ALL
-#include <xxhash.h>
 
 #include <algorithm>
 #include <array>
@@ -15,7 +12,9 @@
 #include <unordered_map>
 #include <utility>
 
+#include "protocol/asset.h"
 #include "protocol/key.h"
+#include "protocol/message.h"
 #include "schema/car_generated.h"
 #include "schema/message_generated.h"
 
@@ -23,13 +22,6 @@ namespace crumple::client {
 namespace {
 
 thread_local std::string last_error;
-
-template <class Table>
-const Table* verified(std::span<const uint8_t> bytes) {
-  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
-  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
-  return flatbuffers::GetRoot<Table>(bytes.data());
-}
 
 void copy(const schema::Vec3& from, float (&to)[3]) {
   to[0] = from.x();
@@ -61,7 +53,7 @@ void ask_for_keyframe(Crumple& session, const std::string& id, FollowedCar& car)
   ++session.statistics.asked;
 }
 
-// What was asked before tells nothing about now, if it is answered at all.
+// Forgets an earlier query: its answer, if one comes, says nothing about now.
 void forget_question(Crumple& session, FollowedCar& car) {
   session.key_tickets.erase(car.asking);
   car.asking = 0;
@@ -77,7 +69,7 @@ void ask_for_asset(Crumple& session, const std::string& hash, Asset& asset) {
     session.asset_tickets[asset.asking] = hash;
 }
 
-// The car of this id if it is followed; follow-all takes in any.
+// Gives the car of this id if the session follows it; a session that follows all takes any.
 FollowedCar* followed(Crumple& session, std::string_view id) {
   auto at = session.cars.find(id);
   if (at == session.cars.end()) {
@@ -92,7 +84,7 @@ void take_surface(Crumple& session, const std::string& id, FollowedCar& car, boo
                   std::span<const uint8_t> bytes) {
   ++session.statistics.surface;
   session.statistics.surface_bytes += bytes.size();
-  // The ticks of an earlier car of this id, of an earlier server or of another level say nothing about those of this one.
+  // Ticks of an earlier car of this id, of an earlier server or of another level cannot be compared with those of this one.
   Surface& surface = car.fresh && keyframe ? car.coming : car.surface;
   if (asked_for) surface.key_parts = {};
   const Outcome outcome = keyframe ? apply_keyframe(bytes, surface) : apply_delta(bytes, surface);
@@ -147,7 +139,8 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   while (session.reactions.size() > reactions_kept) session.reactions.pop_front();
 }
 
-// A car of which the server has told something newer than what is held: it was lost, or is still on its way.
+// Asks for the keyframe of each car of which the server has sent something newer than the session holds, unless that may still
+// be on its way.
 void ask_for_the_lost(Crumple& session, const schema::Health& message) {
   if (!message.told()) return;
   for (const auto* told : *message.told()) {
@@ -180,7 +173,7 @@ void take_health(Crumple& session, std::span<const uint8_t> bytes) {
     for (const auto* count : *message->refusals()) health.refusals += count->value();
 }
 
-// failed: an error reply, which is a sentence of the transport (a timeout), not an Answer.
+// failed: the reply is an error, which is a sentence of the transport (a timeout) and no Answer.
 void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_t> bytes, bool failed) {
   if (const auto* message = verified<schema::Answer>(bytes)) {
     answer.ok = message->ok();
@@ -196,7 +189,7 @@ void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_
   answer.arrived = true;
 }
 
-// Nodes that a vertex moves with are numbered as keyframes and deltas have them: ascending. False if one is not there.
+// Numbers the nodes of the skin in ascending order, as keyframes and deltas do. False: the skin names a node that is missing.
 bool read_skin(const schema::Car& car, Asset& asset) {
   const uint32_t none = UINT32_MAX, nodes = car.node()->size();
   const auto weights = [](const schema::Skin& skin) { return std::array{skin.wa(), skin.wb(), skin.wc(), skin.wd()}; };
@@ -224,16 +217,10 @@ bool read_skin(const schema::Car& car, Asset& asset) {
   return asset.skin.size() == car.vertex()->size() && asset.skin_nodes > 0;
 }
 
-std::string hash_of(const Asset& asset) {
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(asset.words.data(), asset.size, 0)));
-  return digits;
-}
-
-// The views of a mesh, once every piece is there and the bytes are those that the hash names.
+// Sets the pointers of a mesh, after every piece has come and the bytes have the hash.
 std::string read_mesh(const std::string& hash, Asset& asset) {
   const auto* bytes = reinterpret_cast<const uint8_t*>(asset.words.data());
-  if (const std::string digits = hash_of(asset); hash != digits)
+  if (const std::string digits = hash_of(asset.words.data(), asset.size); hash != digits)
     return "the bytes of asset " + hash + " have the hash " + digits + ": ask again";
   flatbuffers::Verifier verifier(bytes, asset.size);
   if (!schema::VerifyCarBuffer(verifier)) return "asset " + hash + " is not a baked car";
@@ -275,7 +262,7 @@ void take_sample(Crumple& session, const Key& key, std::span<const uint8_t> byte
   if (key.channel == Channel::reactions) return take_reactions(session, bytes);
   if (key.channel != Channel::keyframe && key.channel != Channel::delta) return;
   FollowedCar* car = followed(session, key.id);
-  if (!car || key.number != static_cast<uint64_t>(car->level)) return;  // of a level that was left, or of all the others
+  if (!car || key.number != static_cast<uint64_t>(car->level)) return;  // of a level that the session left, or to all others
   car->last = Clock::now();
   take_surface(session, std::string(key.id), *car, key.channel == Channel::keyframe, false, bytes);
 }
@@ -295,7 +282,7 @@ void take_reply(Crumple& session, uint64_t ticket, std::span<const uint8_t> byte
   }
 }
 
-// Nothing more will come for this ticket.
+// Ends a ticket: nothing more comes for it.
 void end_ticket(Crumple& session, uint64_t ticket) {
   if (const auto command = session.answers.find(ticket); command != session.answers.end()) {
     if (!command->second.arrived) command->second.sentence = "the server did not answer within the timeout of the session";
@@ -311,15 +298,16 @@ void end_ticket(Crumple& session, uint64_t ticket) {
   }
 }
 
-// They are told once, and the line may have been away then. A server that has them already drops them by their number.
+// Sends obstacles again: they are sent only once, and the line may have been down. A server that has them drops them by their
+// number.
 void send_obstacles_again(Crumple& session) {
   if (session.obstacles.empty()) return;
   const std::string key = session.root + "host/" + session.host + "/obstacles";
   net_put(session.net, key.c_str(), session.obstacles.data(), session.obstacles.size(), NET_REAL_TIME);
 }
 
-// What is held may be of the one and what is told from now on of the other; where two were there for a moment, no token of the
-// scene or of its cars went.
+// The session may hold surfaces of one owner and get messages of another. If both were there for a moment, no token of the
+// scene or of its cars has gone, so it asks for everything anew.
 void another_owner(Crumple& session) {
   send_obstacles_again(session);
   for (auto& [id, car] : session.cars) {
@@ -335,23 +323,23 @@ void take_liveliness(Crumple& session, const Key& key, bool alive) {
   if (key.channel == Channel::owner) return another_owner(session);
   if (key.channel == Channel::server) {
     session.server_alive = alive;
-    if (!alive) session.clock = {};  // the next one's ticks begin elsewhere
+    if (!alive) session.clock = {};  // the ticks of the next server begin elsewhere
     if (alive) send_obstacles_again(session);
   }
   const std::string_view id = key.id;
   FollowedCar* car = key.channel == Channel::command ? followed(session, id) : nullptr;
   if (!car) return;
-  const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // before its token came
+  const bool asked = alive && !car->alive && (car->asking || !car->fresh);  // the session asked before the token came
   car->alive = alive;
   car->gone = !alive;
-  car->doubtful = false;  // a new one is asked for its keyframe anyway
+  car->doubtful = false;  // the session asks a new car for its keyframe anyway
   if (asked) return;
   car->fresh = true;
   car->coming = {};
   if (alive)
     ask_for_keyframe(session, std::string(id), *car);
   else
-    forget_question(session, *car);  // whoever is there next has not heard it
+    forget_question(session, *car);  // the next car of this id has not got the query
 }
 
 void ask_the_silent(Crumple& session) {
@@ -362,7 +350,7 @@ void ask_the_silent(Crumple& session) {
   }
 }
 
-// Whoever was frozen finds seconds of old messages waiting. The answer to a question asked now comes after all of them.
+// After a pause, seconds of old messages wait. The answer to a query that is sent now comes after all of them.
 void doubt_after_a_pause(Crumple& session) {
   const auto now = Clock::now();
   if (now - std::exchange(session.polled, now) < unpolled) return;
@@ -375,7 +363,7 @@ void doubt_after_a_pause(Crumple& session) {
   ask_the_silent(session);
 }
 
-// Brings the subscriptions for a car, or for "*", to the level, or to none.
+// Changes the subscriptions for a car, or for "*", to this level, or to none.
 int subscribe(Crumple& session, const std::string& cars, int level) {
   int& now = session.subscribed.try_emplace(cars, none).first->second;
   if (now == level || !session.net) return CRUMPLE_OK;
@@ -393,14 +381,14 @@ int subscribe(Crumple& session, const std::string& cars, int level) {
 void change_level(Crumple& session, const std::string& id, FollowedCar& car, int level) {
   if (car.level == level) return;
   car.level = level;
-  car.surface.key.clear();  // no delta of this level is against it
+  car.surface.key.clear();  // because no delta of this level is against it
   car.fresh = true;
   car.coming = {};
   forget_question(session, car);
   if (car.alive) ask_for_keyframe(session, id, car);
 }
 
-// Subscriptions and the wait for the server; throws nothing, leaves the error behind.
+// Subscribes and waits for the server. It throws nothing and sets the error.
 int begin(Crumple& session, const char* connect, const char* network) {
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
   if (net_open("client", nullptr, connect, network, timeout, &session.net) != 0)
@@ -481,7 +469,7 @@ bool impair(Impaired& impaired, bool outgoing, std::string_view key, std::span<c
 
 namespace {
 
-// What has come to the end of a bad line. Returns how many came to the session.
+// Takes the messages that have come to the end of a bad line. Returns how many came to the session.
 int take_impaired(Crumple& session) {
   auto& under_way = session.impaired.under_way;
   int came = 0;
@@ -574,7 +562,7 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
     session->root = crumple::root_of(options->scene);
     session->host = options->host ? options->host : "";
     if (options->timeout_ms) session->timeout = std::chrono::milliseconds(options->timeout_ms);
-    // Above those of an earlier session of this host, so that the server does not take its messages for old ones.
+    // Sequence numbers begin above those of an earlier session of this host; else the server would drop messages as old.
     session->sequence = static_cast<uint64_t>(
         std::chrono::duration_cast<std::chrono::microseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
     const int status = options->connect ? begin(*session, options->connect, network) : CRUMPLE_OK;
@@ -598,7 +586,7 @@ void crumple_close(Crumple* handle) {
     Sessions& known = sessions();
     std::unique_lock hold(known.lock);
     const auto closed = known.all.extract(handle);
-    hold.unlock();  // others need not wait for a line to be closed
+    hold.unlock();  // others need not wait until a line is closed
     return CRUMPLE_OK;
   });
 }
@@ -620,7 +608,7 @@ int crumple::client::poll(Crumple* session, uint64_t timeout_us) {
     timeout_us = 0;
   } while (got == 64);
   total += take_impaired(*session);
-  session->polled = Clock::now();  // waiting is no pause
+  session->polled = Clock::now();  // this wait is no pause of the caller
   ask_the_silent(*session);
   return total;
 }
@@ -686,12 +674,12 @@ int crumple_follow(Crumple* handle, const char* id, int level) {
     if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
       return fail(CRUMPLE_CLOSED, transport_error());
     if (id) {
-      // What comes for all need not come for this one once more.
+      // Messages that come for all cars need not come twice for this one.
       if (const int status = subscribe(*session, id, session->level == level ? none : level); status != CRUMPLE_OK)
         return status;
       FollowedCar& car = session->cars.try_emplace(id).first->second;
       change_level(*session, id, car, level);
-      ask_for_keyframe(*session, id, car);  // sooner than its token can come
+      ask_for_keyframe(*session, id, car);  // before its token can come
       return CRUMPLE_OK;
     }
     if (const int status = subscribe(*session, "*", level); status != CRUMPLE_OK) return status;
@@ -758,17 +746,17 @@ int crumple_mesh(Crumple* handle, const char* asset, CrumpleMesh* out) {
 
 int crumple_add_asset(Crumple* handle, const void* car, size_t size, char hash[17]) {
   return with(handle, {{"car", car}, {"hash", hash}}, [&](Crumple* session) -> int {
-    if (size > asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
+    if (size > crumple::asset_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the baked car is over 256 MiB");
     Asset asset;
     asset.words.resize((size + 7) / 8);
     if (size > 0) std::memcpy(asset.words.data(), car, size);
     asset.size = size;
-    const std::string name = hash_of(asset);
+    const std::string name = crumple::hash_of(asset.words.data(), asset.size);
     if (const std::string trouble = read_mesh(name, asset); !trouble.empty()) return fail(CRUMPLE_BAD_ARGUMENT, trouble);
     asset.whole = true;
     Asset& known = session->assets[name];
-    session->asset_tickets.erase(known.asking);  // what comes of it still is not wanted
-    if (!known.whole) known = std::move(asset);  // whoever has views of the other keeps them
+    session->asset_tickets.erase(known.asking);  // further pieces of it are of no use
+    if (!known.whole) known = std::move(asset);  // if a caller has pointers into the other one, they stay valid
     std::memcpy(hash, name.c_str(), 17);
     return CRUMPLE_OK;
   });

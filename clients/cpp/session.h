@@ -1,4 +1,4 @@
-// Inside of a session (crumple_client.h): what has arrived and was not yet asked for, and what is outstanding.
+// The inside of a session (crumple_client.h): what has come and the caller has not taken yet, and what the session waits for.
 #pragma once
 
 #include <chrono>
@@ -14,40 +14,37 @@
 
 #include "cpp/crumple_client.h"
 #include "io/transport.h"
+#include "protocol/asset.h"
 #include "viewer/surface.h"
 
 namespace crumple::client {
 
 using Clock = std::chrono::steady_clock;
 
-// Longest wait for the message after the last one: a car that falls silent is asked for its keyframe once, since the last
-// delta or keyframe may have been lost and an idle car sends nothing.
+// After this long without a message of a car the session asks for its keyframe, once: the last delta or keyframe may have been
+// lost, and an idle car sends nothing.
 inline constexpr std::chrono::milliseconds silence{500};
-// A session that polls less often than this may hold what was true long ago, with more of the same still on its way.
+// A session that was not polled for this long may hold an old surface, and more old messages may still be waiting for it.
 inline constexpr std::chrono::milliseconds unpolled{500};
-// What health says of a car that spoke so lately may still be on its way.
+// If a car sent something less than this before a message of health, that may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
 inline constexpr int none = -1;  // of the surface levels
-// For a keyframe; then it is asked for again.
+// After this long without a keyframe the session asks for it again.
 inline constexpr uint32_t keyframe_ms = 3000;
 inline constexpr size_t sample_limit = size_t{1} << 20;  // bytes: reactions of 1,000 cars have 200 kB
-inline constexpr size_t cars_limit = 4'096;              // of those that come where all are followed: four scenes have as many
+inline constexpr size_t cars_limit = 4'096;              // of a session that follows all cars: four scenes have as many
 inline constexpr size_t reactions_kept = 4096;
-inline constexpr double past_kept = 0.5;  // s of a car that is shown as it was
+inline constexpr double past_kept = 0.5;  // s: how long ago crumple_copy can show a car
 inline constexpr size_t answers_kept = 256;
-// What is given to the library at once, so that a wild count is refused and not read.
-inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one
+// Limits of what a caller gives in one call, so that the library refuses a wild count and does not read it.
+inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one message
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
 inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
-// An asset comes in pieces of this size, so that a slow line brings each in time: the query's payload is the offset (8 bytes,
-// little endian; none: 0); a shorter answer is the last.
-inline constexpr size_t asset_piece = size_t{256} << 10;
-inline constexpr std::chrono::milliseconds asset_patience{10'000};  // for each, or the session's timeout if that is longer
-inline constexpr size_t asset_limit = size_t{256} << 20;
+inline constexpr std::chrono::milliseconds asset_patience{10'000};  // for each piece; the session's timeout, if longer
 
-// When messages of a tick come, less the tick's own time. The least of the last one or two seconds is nearest to the truth:
-// what comes later was held up.
+// Tells the server's time by the delay of messages: when they come, less the time of their tick. The least delay of the last
+// one or two seconds is nearest to the truth, because messages with more were held up.
 struct ServerClock {
   double rate = 60;                                                        // ticks a second
   double least = std::numeric_limits<double>::infinity(), before = least;  // s, of this second and of the one before
@@ -66,26 +63,26 @@ struct Past {
 
 struct FollowedCar {
   Surface surface;
-  Surface coming;         // while `fresh`: what has arrived of what takes its place
-  std::deque<Past> past;  // and the newest, oldest first; empty: nobody asked for it
-  // Of the last crumple_copy: displacements of the skin's nodes, in quanta.
+  Surface coming;         // while `fresh`: the parts that have come of the surface that will replace it
+  std::deque<Past> past;  // earlier surfaces and the newest, oldest first; empty: nobody asked for them
+  // What the last crumple_copy gave: displacements of the skin's nodes, in quanta.
   std::string copied_asset;
   float copied_quantum = 0;
   std::vector<float> copied;
   int level = 0;
-  bool alive = false;  // its token says so
-  bool gone = false;   // its token has been here and went; a keyframe may come before a token
+  bool alive = false;  // the car has a token
+  bool gone = false;   // the car had a token, which went; a keyframe may come before a token
   bool dirty = false;
-  bool unsure = false;        // a message came since the last keyframe that was asked for
-  bool doubtful = false;      // the session was not polled for long: what is held counts only after an answer to `asking`
-  bool owed = false;          // a keyframe that was asked for has not come
+  bool unsure = false;        // a message came after the session last asked for a keyframe
+  bool doubtful = false;      // nobody polled the session for long: the surface counts only after the answer to `asking`
+  bool owed = false;          // the session asked for a keyframe, which has not come
   bool fresh = true;          // the car, its server or its level is a new one: the next keyframe counts whatever its tick
-  Clock::time_point asked{};  // last, for its keyframe
+  Clock::time_point asked{};  // when the session last asked for its keyframe
   uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
   Clock::time_point last{};   // of its last message
 };
 
-// A bad line, and what is under way on it, by when it comes: to the session, or (key is whole then) to the server.
+// A bad line and the messages on it, by the time at which they come: to the session, or to the server (then with a whole key).
 struct Impaired {
   struct Message {
     bool outgoing;
@@ -105,7 +102,7 @@ struct CommandAnswer {
   std::vector<uint8_t> state;
 };
 
-// A vertex: which of the skin's nodes it moves with, and how much.
+// The nodes of the skin that a vertex moves with, and their weights.
 struct SkinVertex {
   uint32_t at[4];
   float weight[4];
@@ -122,10 +119,10 @@ struct Asset {
   std::vector<SkinVertex> skin;  // per vertex
 };
 
-// Keeps the sentence of crumple_error and gives the status back.
+// Keeps the sentence for crumple_error and returns the status.
 int fail(int status, std::string sentence);
 inline constexpr const char* no_network = "this session has no network: give options.connect to crumple_open";
-// Whether it can be the id of a scene, host or car: 1 to 32 of a-z A-Z 0-9 _ -.
+// Whether this can be the id of a scene, host or car: 1 to 32 characters of a-z A-Z 0-9 _ -.
 bool is_id(const char*);
 
 }  // namespace crumple::client
@@ -136,16 +133,16 @@ struct Crumple {
   Crumple(const Crumple&) = delete;
   Crumple& operator=(const Crumple&) = delete;
 
-  Net* net = nullptr;  // NULL: all comes by crumple_feed
+  Net* net = nullptr;  // NULL: crumple_feed gives all messages
   std::string root;    // "crumple/1/{scene}/"
   std::string host;
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
   crumple::client::Clock::time_point polled = crumple::client::Clock::now();
-  int level = crumple::client::none;                   // of the cars that come, where all are followed
+  int level = crumple::client::none;                   // of cars that come, if the session follows all
   std::map<std::string, int, std::less<>> subscribed;  // level, by id of a car or "*"
   uint64_t sequence = 0;
-  std::vector<uint8_t> obstacles;  // the last message of them
+  std::vector<uint8_t> obstacles;  // the last message of obstacles
   std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;
   std::map<std::string, crumple::client::Asset, std::less<>> assets;
   std::map<uint64_t, crumple::client::CommandAnswer> answers;  // by ticket, oldest first

@@ -1,5 +1,5 @@
-// What is held of a car, as an engine draws it: displacements of the skin's nodes to positions and normals of the vertices, in
-// the caller's buffer, and which of them are other than before.
+// Makes of a surface what an engine draws: it writes positions and normals of the vertices into the caller's buffer, from the
+// displacements of the skin's nodes, and says which vertices have changed.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -11,10 +11,10 @@ using namespace crumple::client;
 
 namespace {
 
-// Ticks between two messages of a car that deforms, by surface level: its way to the next shape takes so long.
+// Ticks between two messages of a car that deforms, by surface level: so long its way to the next shape takes.
 constexpr double interval[2] = {1, 6};
 
-// Displacements of the skin's nodes in quanta of a length that it gives back, m, at a time in ticks.
+// Writes the displacements of the skin's nodes at a time, in ticks. Returns the quantum in which it wrote them, m.
 float nodes_at(const FollowedCar& car, double tick, std::vector<float>& out) {
   const auto& past = car.past;
   const auto next =
@@ -44,7 +44,7 @@ void displace(const Asset& asset, const std::vector<float>& node, float quantum,
   }
 }
 
-// The cross product of two edges is a triangle's normal, twice as long as its area.
+// The cross product of two edges of a triangle is its normal, with a length of twice its area.
 void find_normals(const CrumpleMesh& mesh, const std::vector<float>& position, std::vector<float>& out) {
   out.assign(position.size(), 0);
   for (const uint32_t* corner = mesh.triangle; corner != mesh.triangle + 3 * size_t{mesh.triangle_count}; corner += 3) {
@@ -61,7 +61,7 @@ void find_normals(const CrumpleMesh& mesh, const std::vector<float>& position, s
   }
   for (float* normal = out.data(); normal != out.data() + out.size(); normal += 3) {
     const float square = normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2];
-    const bool flat = !(square > 0);  // no triangle that has an area: a normal all the same
+    const bool flat = !(square > 0);  // no triangle here has an area, but a normal is needed
     const float scale = flat ? 0 : 1 / std::sqrt(square);
     normal[0] *= scale;
     normal[1] *= scale;
@@ -69,7 +69,7 @@ void find_normals(const CrumpleMesh& mesh, const std::vector<float>& position, s
   }
 }
 
-// Vertices that moved since the last copy, and those that share a triangle with one, whose normals turn.
+// Finds vertices that moved since the last copy, and those that share a triangle with one, because their normals turn.
 void mark(const Asset& asset, const std::vector<float>& now, const std::vector<float>& before, std::vector<uint8_t>& moved) {
   moved.assign(asset.skin.size(), before.empty());
   if (before.empty() || before == now) return;
@@ -100,7 +100,7 @@ void crumple::client::remember(FollowedCar& car, double rate) {
   std::deque<Past>& past = car.past;
   if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
   past.push_back({surface.tick, surface.quantum, surface.quanta});
-  // One that is older than that stays: it is what was until the next.
+  // One older surface stays, because it was the surface until the next one.
   while (past.size() > 2 && static_cast<double>(surface.tick - past[1].tick) > past_kept * rate) past.pop_front();
 }
 

@@ -1,4 +1,4 @@
-// The viewer that prints: polls, prints once a second, and writes the surface it holds as a Wavefront OBJ file.
+// The viewer polls, prints once a second, and writes the surface that it holds as a Wavefront OBJ file.
 #include "cpp/watch.h"
 
 #include <chrono>
@@ -38,7 +38,7 @@ void print(Session& session, double bytes_per_second) {
   std::fflush(stdout);
 }
 
-// The mesh is asked for while the server is still there.
+// It asks for the mesh while the server is still there.
 void write_surface(Session& session, const std::string& id, const std::string& path) {
   const CrumpleMesh mesh = session.mesh(session.surface(id).value().asset);
   std::vector<float> displacement(size_t{3} * mesh.vertex_count);
@@ -46,7 +46,7 @@ void write_surface(Session& session, const std::string& id, const std::string& p
   vertices.displacement = displacement.data();
   vertices.stride = 3 * sizeof(float);
   vertices.capacity = mesh.vertex_count;
-  const auto surface = session.surface(id);  // what has come meanwhile
+  const auto surface = session.surface(id);  // which may be newer now
   if (!surface || !session.copy(id, vertices)) throw Error("car " + id + " is not held any more: its server fell silent");
   write_obj(path, mesh.attribution, id, surface->tick, {mesh.vertex, displacement.size()}, displacement,
             {mesh.triangle, size_t{3} * mesh.triangle_count});

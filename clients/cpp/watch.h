@@ -1,5 +1,5 @@
-// `crumple watch`: a viewer that prints what it holds, once a second: tick, nodes, how many are displaced, the quantum, the
-// hash that must be the server's, bytes a second.
+// `crumple watch` is a viewer. Once a second it prints what it holds: tick, nodes, how many of them are displaced, the quantum,
+// the hash, which must be the server's, and bytes a second.
 #pragma once
 
 #include <atomic>

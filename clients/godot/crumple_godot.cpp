@@ -1,6 +1,6 @@
-// crumple_client.h for Godot 4.4 or newer: the class CrumpleSession, a viewer's session as scripts see it. Straight on Godot's
-// C interface, by the header that Godot writes itself. What goes wrong is shown where Godot shows its own errors, with the
-// library's sentence, and gives false, 0 or nothing. crumple_car.gd is the node made of it.
+// crumple_client.h for Godot 4.4 or newer: scripts get the class CrumpleSession, the session of a viewer. It uses Godot's C
+// interface directly, by the header that Godot writes itself. Where something goes wrong, Godot shows the library's sentence
+// among its own errors, and the method returns false, 0 or nothing. crumple_car.gd makes a node of this class.
 #include <crumple_client.h>
 #include <gdextension_interface.h>
 
@@ -40,7 +40,7 @@ struct {
 } godot;
 GDExtensionClassLibraryPtr library;
 
-// Room for any of the values below.
+// This has room for any of the values below.
 struct alignas(8) Value {
   unsigned char bytes[16];
 };
@@ -58,7 +58,7 @@ struct Name {
 
 void complain(const std::string& sentence) { godot.print_error(sentence.c_str(), "CrumpleSession", __FILE__, 0, false); }
 
-// What methods take and give: how it lies in Godot's memory.
+// What methods take and give, as it lies in Godot's memory.
 struct Bytes {
   const void* data;
   size_t size;
@@ -107,7 +107,7 @@ void write(const Bytes& from, void* value) {
 
 class Session {
  public:
-  // Waits for the server of the scene, at most so many seconds.
+  // Waits for the server of the scene, for at most `seconds`.
   bool open(std::string endpoint, std::string scene, double seconds) {
     const CrumpleOptions options{
         CRUMPLE_CLIENT_VERSION, uint32_t(std::fmax(1, 1e3 * seconds)), endpoint.c_str(), scene.c_str(), nullptr, nullptr};
@@ -118,27 +118,27 @@ class Session {
     return true;
   }
   bool follow(std::string car, int64_t level) { return good(crumple_follow(handle_, car.c_str(), int(level))); }
-  // Takes in what has arrived; returns the number of messages.
+  // Takes in the messages that have arrived; returns their number.
   int64_t poll() {
     const int messages = crumple_poll(handle_, 0);
     return good(messages) ? messages : 0;
   }
-  // The server's now, s; 0 while it is not known.
+  // The server's time now, s; 0 while the session does not know it.
   double time() { return crumple_time(handle_); }
 
-  // The hash of the car's undamaged mesh; "" while nothing whole and current is there: keep what was drawn.
+  // The hash of the car's undamaged mesh; "" while the session holds no surface that is whole and current: keep what you drew.
   std::string asset(std::string car) {
     CrumpleSurface surface;
     return has(crumple_surface(handle_, car.c_str(), &surface)) ? surface.asset : "";
   }
-  // False once it is despawned, or its server gone.
+  // Returns false after the car was despawned, or its server has gone.
   bool alive(std::string car) {
     CrumpleSurface surface;
     return !has(crumple_surface(handle_, car.c_str(), &surface)) || surface.alive;
   }
 
-  // Of an asset; nothing until it has arrived. vertices: Vector3; triangles: int32, as Godot has them: clockwise from the
-  // front.
+  // These two give what an asset has, and nothing until it has come. vertices: Vector3. triangles: int32, clockwise from the
+  // front, as Godot has them.
   Bytes vertices(std::string asset) {
     const CrumpleMesh mesh = mesh_of(asset);
     return {mesh.vertex, 12 * size_t{mesh.vertex_count}};
@@ -155,8 +155,8 @@ class Session {
     return text ? text : "";
   }
 
-  // Decodes the car as it was at that time. Outside of this range of vertices nothing is other than after the last copy of this
-  // car; its length is negative while the car or its mesh is not there.
+  // Decodes the car as it was at that time. Only vertices in this range may differ from the last copy of this car; its length
+  // is negative while the surface of the car or its mesh is missing.
   Range copy(std::string car, double time) {
     CrumpleVertices out{};
     CrumpleMesh mesh{};
@@ -172,8 +172,8 @@ class Session {
     if (!has(crumple_copy(handle_, car.c_str(), &out))) return {0, -1};
     return {int32_t(out.first), int32_t(out.count)};
   }
-  // Of the last copy, as they lie in the vertex buffer of a Godot mesh: first all positions, then all normals, so many bytes
-  // from one to the next. What is between is 0: a tangent, which only a normal map would need.
+  // These two give the last copy as the vertex buffer of a Godot mesh has it: first all positions, then all normals, `stride`
+  // bytes from one normal to the next. The bytes between are 0: a tangent, which only a normal map would need.
   Bytes positions(int64_t first, int64_t count) {
     if (!within(first, count)) return {};
     return {&position_[3 * size_t(first)], 12 * size_t(count)};
@@ -186,7 +186,7 @@ class Session {
   }
 
   Session() {
-    // One without a network, so that there always is one.
+    // This one has no network, so that there is always a session.
     const CrumpleOptions none{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", nullptr, nullptr};
     good(crumple_open(&none, &handle_));
   }
@@ -208,7 +208,8 @@ class Session {
     if (!holds) complain("vertices " + std::to_string(first) + " + " + std::to_string(count) + " are not in the last copy");
     return holds;
   }
-  // A direction on the octahedron |x| + |y| + |z| = 1, whose lower half is folded over the upper one: 16 bits each for x and y.
+  // Puts a direction on the octahedron |x| + |y| + |z| = 1 and folds its lower half over the upper one: 16 bits each for x and
+  // y.
   static void fold(const float* direction, uint16_t* out) {
     const float size = std::fabs(direction[0]) + std::fabs(direction[1]) + std::fabs(direction[2]);
     const float x = direction[0] / size, y = direction[1] / size;
@@ -261,7 +262,7 @@ const Method methods[] = {
     Of<&Session::positions>::named("positions"), Of<&Session::normals>::named("normals"),
 };
 
-// From a script that does not know the types: variants to values and back.
+// For a script that does not know the types: converts variants to values and back.
 void call(void* userdata, GDExtensionClassInstancePtr session, const GDExtensionConstVariantPtr* arguments,
           GDExtensionInt count, GDExtensionVariantPtr out, GDExtensionCallError* error) {
   const auto& method = *static_cast<const Method*>(userdata);

@@ -1,7 +1,8 @@
-// crumple_client.h for C#: .NET, Mono, and Unity, of which it uses nothing. A session that is disposed of, exceptions with the
-// library's sentence, commands that wait for their answer, surfaces decoded straight into the caller's memory. Structs have the
-// layout of those of the header, where the meaning and unit of each field stands; what is a pointer there lives as long as there.
-// Session.Poll, TrySurface, Copy, PublishPoses and TakeReactions allocate nothing. One thread at a time uses a session.
+// crumple_client.h for C#, in .NET, Mono and Unity; this file uses nothing of Unity. Dispose closes a session, exceptions have
+// the library's sentence, commands wait for their answer, and the library decodes surfaces straight into the caller's memory.
+// Structs have the layout of the header's structs, and the header says what each field means, its unit, and how long a pointer
+// is valid. Session.Poll, TrySurface, Copy, PublishPoses and TakeReactions allocate nothing. Only one thread at a time may use
+// a session.
 using System;
 using System.Collections.Generic;
 using System.Runtime.InteropServices;
@@ -9,12 +10,12 @@ using System.Text;
 
 namespace Crumple {
 
-/// What the library says went wrong, and what to do.
+/// The library's sentence: what went wrong, and what to do.
 public class Error : Exception {
   public Error(string sentence) : base(sentence) {}
 }
 
-/// The server's own sentence: why it did not do what it was asked for.
+/// The server's sentence: why it refused a command.
 public sealed class Refused : Error {
   public Refused(string sentence) : base(sentence) {}
 }
@@ -42,12 +43,12 @@ public struct Pose {
   public Pose(Double3 position, Rotation orientation) { Position = position; Orientation = orientation; }
 }
 
-/// Between our axes (a car is x forward, y left, z up; right-handed) and Unity's (z forward, x right, y up; left-handed). A mesh
-/// needs no conversion of its vertices: its transform, below the car's, does it by MeshScale first and then MeshRotation.
+/// Converts between our axes (right-handed; a car has x forward, y left, z up) and Unity's (left-handed; z forward, x right, y
+/// up). You need not convert the vertices of a mesh: its transform, a child of the car's, applies MeshScale, then MeshRotation.
 public static class Axes {
   public static Float3 ToUnity(Double3 ours) { return new Float3((float)-ours.Y, (float)ours.Z, (float)ours.X); }
   public static Double3 FromUnity(Float3 unity) { return new Double3(unity.Z, -unity.X, unity.Y); }
-  // One is the other's mirror image, so the axis of a turn goes the other way round; so do angular velocities and impulses.
+  // One frame is the mirror image of the other, so a rotation turns the other way; so do angular velocities and impulses.
   public static Rotation ToUnity(Rotation ours) { return new Rotation(ours.Y, -ours.Z, -ours.X, ours.W); }
   public static Rotation FromUnity(Rotation unity) { return new Rotation(-unity.Z, unity.X, -unity.Y, unity.W); }
   public static readonly Float3 MeshScale = new Float3(1, -1, 1);
@@ -67,7 +68,7 @@ public struct Impairment {
   public uint Seed;
 }
 
-/// Parameters.Keep keeps everything; set what should change.
+/// Begin with Parameters.Keep, which keeps every parameter, and set those that should change.
 public struct Parameters {
   public Solver Solver;
   public uint Iterations, Substeps;
@@ -84,7 +85,7 @@ public struct CarPose {
   public Float3 Velocity, AngularVelocity;
   public ulong Seen;
   public float Importance;
-  /// car: Session.Id of its name.
+  /// car: what Session.Id gives for its name.
   public CarPose(IntPtr car) : this() { this.car = car; Pose.Orientation = Rotation.None; }
 }
 
@@ -110,7 +111,7 @@ public struct Reaction {
   public float Deepest;
   public uint Contacts;
   public string Car { get { return Native.Text(car); } }  // a new string each time
-  public bool IsOf(IntPtr id) { return Native.Same(car, id); }  // Session.Id of the car
+  public bool IsOf(IntPtr id) { return Native.Same(car, id); }  // id: what Session.Id gives for the car's name
 }
 
 public struct Surface {
@@ -118,15 +119,15 @@ public struct Surface {
   public uint NodeCount;
   public float Quantum;
   internal IntPtr asset;
-  public IntPtr Quanta;  // short, 3 a node; until the next Poll
+  public IntPtr Quanta;  // short, 3 for each node; valid until the next Poll
   internal int dirty, alive;
   public string Asset { get { return Native.Text(asset); } }  // a new string each time
-  public bool IsOf(IntPtr id) { return Native.Same(asset, id); }  // Session.Id of the asset
+  public bool IsOf(IntPtr id) { return Native.Same(asset, id); }  // id: what Session.Id gives for the asset
   public bool Dirty { get { return dirty != 0; } }
   public bool Alive { get { return alive != 0; } }
 }
 
-/// Where Session.Copy writes: pointers to pinned memory, such as a NativeArray's, or zero where not wanted.
+/// Where Session.Copy writes: pointers to pinned memory, such as a NativeArray's, or zero to leave something out.
 public struct Vertices {
   public IntPtr Position, Displacement, Normal;
   UIntPtr stride, capacity;
@@ -136,7 +137,7 @@ public struct Vertices {
   public int Capacity { get { return (int)capacity; } set { capacity = (UIntPtr)(uint)value; } }
 }
 
-/// Views live as long as the session.
+/// The pointers stay valid as long as the session.
 public struct Mesh {
   public uint VertexCount, TriangleCount;
   public IntPtr Vertex;    // float, 3 each
@@ -158,8 +159,8 @@ public sealed class Session : IDisposable {
   IntPtr handle;
   readonly Dictionary<string, IntPtr> ids = new Dictionary<string, IntPtr>();
 
-  /// connect: "tcp/127.0.0.1:7447"; null: no network, all comes by Feed. host: the id under which it moves cars; null: a viewer.
-  /// seconds: for the connection and for each command. network: JSON5 of zenoh's own configuration.
+  /// connect: "tcp/127.0.0.1:7447"; null: no network, Feed gives all messages. host: the id under which the session moves cars;
+  /// null: a viewer only. seconds: for the connection and for each command. network: JSON5 in zenoh's own form.
   public Session(string connect, string scene = "main", string host = null, double seconds = 2, string network = null) {
     var options = new Options {
       version = Native.Version, timeout_ms = Math.Max(1, (uint)(1000 * seconds)), connect = Id(connect), scene = Id(scene),
@@ -180,13 +181,13 @@ public sealed class Session : IDisposable {
     ids.Clear();
   }
 
-  /// Takes in what has arrived; waits for at most so long if there is nothing. Returns the number of messages.
+  /// Takes in the messages that have arrived; if there are none, it waits for one for at most `seconds`. Returns their number.
   public int Poll(double seconds = 0) { return Check(Native.crumple_poll(Open, (ulong)(1e6 * Math.Max(0, seconds)))); }
 
-  /// A message from elsewhere, without a network.
+  /// Gives a message to a session without a network.
   public void Feed(string key, byte[] message) { Check(Native.crumple_feed(Open, Id(key), message, (UIntPtr)message.Length)); }
 
-  /// The server's now, s; 0 while it is not known.
+  /// The server's time now, s; 0 while the session does not know it.
   public double Time { get { return Native.crumple_time(Open); } }
   public Statistics Statistics {
     get {
@@ -195,12 +196,12 @@ public sealed class Session : IDisposable {
       return statistics;
     }
   }
-  /// A bad line from now on, to test a game on; new Impairment() makes it good again.
+  /// Simulates a bad line from now on, to test a game on it; new Impairment() makes the line good again.
   public void Impair(Impairment line) { Check(Native.crumple_impair(Open, ref line)); }
-  /// False until the first of the session, which comes within a second.
+  /// Returns false until the first message of health, which comes within a second.
   public bool TryHealth(out Health health) { return Native.crumple_health(Open, out health) == 0; }
 
-  // ---- commands: each returns the first tick that knows of it, or throws Refused
+  // ---- commands: each returns the tick in which the server did it, or throws Refused
 
   public ulong Spawn(string car, string asset, Pose pose, bool planar = true, float mass = 0,
                      Float3 inertia = default(Float3), Float3 centerOfMass = default(Float3)) {
@@ -216,7 +217,7 @@ public sealed class Session : IDisposable {
     Check(Native.crumple_despawn(Open, Id(car), out ticket));
     return Settle(ticket).tick;
   }
-  /// amount: share of the damage that is taken away.
+  /// amount: the share of the damage that the server takes away, 0 to 1.
   public ulong Repair(string car, float amount = 1) {
     ulong ticket;
     Check(Native.crumple_repair(Open, Id(car), amount, out ticket));
@@ -227,7 +228,7 @@ public sealed class Session : IDisposable {
     Check(Native.crumple_set_parameters(Open, Id(car), ref parameters, out ticket));
     return Settle(ticket).tick;
   }
-  /// The car's deformation, for Load.
+  /// Returns the car's deformation, for Load.
   public byte[] Save(string car) {
     ulong ticket;
     Check(Native.crumple_save(Open, Id(car), out ticket));
@@ -250,13 +251,13 @@ public sealed class Session : IDisposable {
 
   // ---- host
 
-  /// The bytes of a baked car, so that it need not come from the server. Returns its name for Spawn.
+  /// Takes the bytes of a baked car, so that the server need not send it. Returns its name for Spawn.
   public string AddAsset(byte[] car) {
     var hash = new byte[17];
     Check(Native.crumple_add_asset(Open, car, (UIntPtr)car.Length, hash));
     return Encoding.ASCII.GetString(hash, 0, 16);
   }
-  /// A name as CarPose and IsOf take it, until the session is disposed of.
+  /// Gives a name in the form that CarPose and IsOf take. It is valid until you dispose of the session.
   public IntPtr Id(string text) {
     IntPtr id;
     if (text == null) return IntPtr.Zero;
@@ -267,23 +268,23 @@ public sealed class Session : IDisposable {
     ids.Add(text, id);
     return id;
   }
-  /// All cars of this host. time: the host's clock, s.
+  /// Sends all cars of this host. time: the host's clock, s.
   public void PublishPoses(double time, CarPose[] cars, int count) {
     if (count > cars.Length) throw new ArgumentOutOfRangeException("count");
     Check(Native.crumple_publish_poses(Open, time, cars, (UIntPtr)count));
   }
-  /// The whole list of this host; it replaces the one before.
+  /// Sends the whole list of this host, which replaces the list before.
   public void PublishObstacles(Obstacle[] obstacles) {
     Check(Native.crumple_publish_obstacles(Open, obstacles, (UIntPtr)obstacles.Length));
   }
-  /// The next ones that came, oldest first. Returns how many were written.
+  /// Writes reactions that were not taken yet, oldest first. Returns how many it wrote.
   public int TakeReactions(Reaction[] into) {
     return (int)Native.crumple_take_reactions(Open, into, (UIntPtr)into.Length);
   }
 
   // ---- viewer
 
-  /// From now on this car's surface is held. level 0: every tick; 1: for who is far.
+  /// From now on the session holds the surface of this car. level 0: in every tick; 1: less often and more coarsely, from afar.
   public void Follow(string car, int level = 0) {
     if (car == null) throw new ArgumentNullException("car");
     Check(Native.crumple_follow(Open, Id(car), level));
@@ -294,11 +295,11 @@ public sealed class Session : IDisposable {
     Native.crumple_cars(Open, ids, (UIntPtr)ids.Length);
     return Array.ConvertAll(ids, Native.Text);
   }
-  /// False while nothing whole and current is there: keep what was drawn.
+  /// Returns false while the session holds no surface that is whole and current: keep what you drew.
   public bool TrySurface(string car, out Surface surface) { return Check(Native.crumple_surface(Open, Id(car), out surface)) == 0; }
-  /// False while the surface or its mesh is not there.
+  /// Returns false while the surface or its mesh is missing.
   public bool Copy(string car, ref Vertices vertices) { return Check(Native.crumple_copy(Open, Id(car), ref vertices)) == 0; }
-  /// False until it has arrived: asks for it, poll and ask again.
+  /// Asks the server for the mesh and returns false until it has come: poll and call again.
   public bool TryMesh(string asset, out Mesh mesh) { return Check(Native.crumple_mesh(Open, Id(asset), out mesh)) == 0; }
 
   IntPtr Open {

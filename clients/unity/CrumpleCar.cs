@@ -1,6 +1,6 @@
-// A car of a scene in Unity (2019.3 or newer), as it dents: the library writes into memory of a NativeArray, and the vertices
-// that changed go from there to the graphics card. Belongs on a child of the object that the game moves as the car: its
-// transform is the conversion of axes, and nothing else. Compiled only where Unity is.
+// Shows a car of a scene in Unity (2019.3 or newer) as it dents. The library writes into the memory of a NativeArray, and this
+// component passes the vertices that changed to the graphics card. Put it on a child of the object that the game moves as the
+// car, because it uses the transform of that child to convert the axes. Only Unity compiles this file.
 #if UNITY_5_3_OR_NEWER
 using System;
 using System.Collections.Generic;
@@ -16,8 +16,10 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
   public string endpoint = "tcp/127.0.0.1:7447";
   public string scene = "main";
   public string car = "car1";
-  public float timeout = 2;   // s, for the connection; Unity stands still while there is none
-  public float delay = 0.1f;  // s: shows what was then, the same as for the poses; moves smoothly however unevenly messages come
+  public float timeout = 2;   // s, for the connection; Unity stands still meanwhile
+  // s: the component shows the car as it was so long ago. Use the same delay for the poses: then the car moves smoothly,
+  // however unevenly messages come.
+  public float delay = 0.1f;
 
   /// Must be shown where the car is shown.
   public string Attribution { get; private set; }
@@ -30,7 +32,7 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     new VertexAttributeDescriptor(VertexAttribute.Normal, VertexAttributeFormat.Float32, 3)
   };
 
-  // Cars of one scene share a session; the first of them in a frame takes in what has arrived.
+  // Cars of one scene share a session; the first of them in each frame polls it.
   sealed class Shared {
     public Session session;
     public int users, frame;
@@ -68,7 +70,7 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
   }
 
   void Update() {
-    if (shared == null) return;  // OnEnable has said why
+    if (shared == null) return;  // OnEnable threw, and said why
     if (shared.frame != Time.frameCount) shared.session.Poll();
     shared.frame = Time.frameCount;
     Surface surface;
@@ -77,15 +79,15 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     if (build && !Build(surface.Asset)) return;
     vertices.Time = shared.session.Time - delay;
     if (!shared.session.Copy(car, ref vertices)) return;
-    if (build) asset = shared.session.Id(surface.Asset);  // whole only now: until then a mesh is built anew
-    // What changed is told once; a new mesh needs all of it.
+    if (build) asset = shared.session.Id(surface.Asset);  // only now the mesh is complete; until then each frame builds it anew
+    // Copy names a changed vertex only once; a new mesh needs all of them.
     int first = build ? 0 : (int)vertices.First, count = build ? buffer.Length : (int)vertices.Count;
     if (count > 0)
       drawn.SetVertexBufferData(buffer, first, first, count, 0,
                                 MeshUpdateFlags.DontRecalculateBounds | MeshUpdateFlags.DontValidateIndices);
   }
 
-  // False until the undamaged car has arrived.
+  // Returns false until the undamaged car has come.
   bool Build(string name) {
     Mesh mesh;
     if (!shared.session.TryMesh(name, out mesh)) return false;
@@ -102,7 +104,7 @@ public sealed unsafe class CrumpleCar : MonoBehaviour {
     }
     drawn.subMeshCount = 1;
     drawn.SetSubMesh(0, new SubMeshDescriptor(0, corners), MeshUpdateFlags.DontRecalculateBounds);
-    drawn.bounds = new Bounds(Vector3.zero, 20 * Vector3.one);  // m; dented or not, a car is within
+    drawn.bounds = new Bounds(Vector3.zero, 20 * Vector3.one);  // m; a car fits in it, dented or not
     GetComponent<MeshFilter>().sharedMesh = drawn;
 
     buffer = new NativeArray<Vertex>(count, Allocator.Persistent);

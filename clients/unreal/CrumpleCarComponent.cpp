@@ -2,10 +2,10 @@
 
 namespace {
 
-// Cars of one scene share one, as long as there are any.
+// Cars of one scene share a session, as long as there are any.
 TMap<FString, TWeakPtr<FCrumpleSession>> Sessions;
 
-// Logs the library's sentence. False also while something is not there yet.
+// Logs the library's sentence. Returns false also while something has not come yet.
 bool Good(int Status) {
   if (Status < 0) UE_LOG(LogTemp, Error, TEXT("crumple: %s"), UTF8_TO_TCHAR(crumple_error()));
   return Status == CRUMPLE_OK;
@@ -45,12 +45,12 @@ void UCrumpleCarComponent::EndPlay(const EEndPlayReason::Type Reason) {
 
 void UCrumpleCarComponent::TickComponent(float DeltaTime, ELevelTick Type, FActorComponentTickFunction* Function) {
   Super::TickComponent(DeltaTime, Type, Function);
-  if (!Session.IsValid()) return;  // BeginPlay has said why
+  if (!Session.IsValid()) return;  // BeginPlay has logged why
   Crumple* Handle = Session->Handle;
   const FTCHARToUTF8 Id(*Car);
   crumple_poll(Handle, 0);
   CrumpleSurface Surface;
-  if (!Good(crumple_surface(Handle, Id.Get(), &Surface))) return;  // keeps what was drawn
+  if (!Good(crumple_surface(Handle, Id.Get(), &Surface))) return;  // the drawn mesh stays
   const FString Hash = UTF8_TO_TCHAR(Surface.asset);
   const bool bAnother = Hash != Asset;
   if (bAnother && !Build(Surface.asset)) return;
@@ -61,7 +61,7 @@ void UCrumpleCarComponent::TickComponent(float DeltaTime, ELevelTick Type, FActo
   Out.capacity = size_t(Vertices.Num());
   Out.time = crumple_time(Handle) - Delay;
   if (!Good(crumple_copy(Handle, Id.Get(), &Out))) return;
-  // What changed is told once; a new mesh needs all of it.
+  // crumple_copy names a changed vertex only once; a new mesh needs all of them.
   const uint32 First = bAnother ? 0 : Out.first, Count = bAnother ? uint32(Vertices.Num()) : Out.count;
   for (uint32 I = First; I < First + Count; ++I) {
     Vertices[I] = CrumpleAxes::PointToUnreal(&Position[3 * I]);
@@ -75,7 +75,7 @@ void UCrumpleCarComponent::TickComponent(float DeltaTime, ELevelTick Type, FActo
   Asset = Hash;
 }
 
-// False until the undamaged car has arrived.
+// Returns false until the undamaged car has come.
 bool UCrumpleCarComponent::Build(const char* Hash) {
   CrumpleMesh Mesh;
   if (!Good(crumple_mesh(Session->Handle, Hash, &Mesh))) return false;
@@ -85,7 +85,7 @@ bool UCrumpleCarComponent::Build(const char* Hash) {
   Normal.SetNumZeroed(3 * Count);
   Vertices.SetNumZeroed(Count);
   Normals.SetNumZeroed(Count);
-  // As they are: Unreal's front sides are counterclockwise, seen in its space, and so are ours in ours.
+  // The triangles stay as they are: front sides are counterclockwise in Unreal's space, and in ours too.
   Triangles.SetNumZeroed(3 * int32(Mesh.triangle_count));
   for (int32 I = 0; I < Triangles.Num(); ++I) Triangles[I] = int32(Mesh.triangle[I]);
   return true;

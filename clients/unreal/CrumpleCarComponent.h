@@ -1,5 +1,5 @@
-// A car of a scene in Unreal Engine 5, as it dents. Belongs below the component that the game moves as the car. Not seen in
-// Unreal yet: README.md.
+// Shows a car of a scene in Unreal Engine 5 as it dents. Attach it to the component that the game moves as the car. Nobody has
+// run it in Unreal yet: README.md says what was tested.
 #pragma once
 
 #include <ProceduralMeshComponent.h>
@@ -8,12 +8,12 @@
 #include "CrumpleCarComponent.generated.h"  // Unreal wants it last
 // clang-format on
 
-// Between our axes (a car is x forward, y left, z up; right-handed; m) and Unreal's (x forward, y right, z up; left-handed,
-// cm).
+// Converts between our axes (right-handed; a car has x forward, y left, z up; m) and Unreal's (left-handed; x forward, y right,
+// z up; cm).
 namespace CrumpleAxes {
 inline FVector PointToUnreal(const float* Ours) { return FVector(100.0 * Ours[0], -100.0 * Ours[1], 100.0 * Ours[2]); }
 inline FVector DirectionToUnreal(const float* Ours) { return FVector(Ours[0], -Ours[1], Ours[2]); }
-// One is the other's mirror image, so the axis of a turn goes the other way round; so do angular velocities and impulses.
+// One frame is the mirror image of the other, so a rotation turns the other way; so do angular velocities and impulses.
 inline FQuat ToUnreal(const float* Ours) { return FQuat(-Ours[0], Ours[1], -Ours[2], Ours[3]); }
 inline CrumplePose FromUnreal(const FVector& Position, const FQuat& Rotation) {
   return {{0.01 * Position.X, -0.01 * Position.Y, 0.01 * Position.Z},
@@ -39,10 +39,11 @@ class UCrumpleCarComponent : public UProceduralMeshComponent {
   FString Scene = TEXT("main");
   UPROPERTY(EditAnywhere, BlueprintReadWrite, Category = "Crumple")
   FString Car = TEXT("car1");
-  // s, for the connection; the game stands still while there is none
+  // s, for the connection; the game stands still meanwhile
   UPROPERTY(EditAnywhere, BlueprintReadWrite, Category = "Crumple")
   float Timeout = 2;
-  // s: shows what was then, the same as for the poses; moves smoothly however unevenly messages come
+  // s: the component shows the car as it was so long ago. Use the same delay for the poses: then the car moves smoothly,
+  // however unevenly messages come.
   UPROPERTY(EditAnywhere, BlueprintReadWrite, Category = "Crumple")
   float Delay = 0.1f;
   // Must be shown where the car is shown.
@@ -58,7 +59,7 @@ class UCrumpleCarComponent : public UProceduralMeshComponent {
 
   TSharedPtr<FCrumpleSession> Session;
   FString Asset;
-  TArray<float> Position, Normal;  // 3 a vertex, as the library writes them
+  TArray<float> Position, Normal;  // 3 for each vertex, as the library writes them
   TArray<FVector> Vertices, Normals;
   TArray<int32> Triangles;
 };

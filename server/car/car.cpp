@@ -11,11 +11,9 @@
 #include <stdexcept>
 #include <utility>
 
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include "car/balance.h"
 #include "car/make_blocks.h"
+#include "protocol/asset.h"
 #include "schema/car_generated.h"
 
 namespace crumple {
@@ -204,7 +202,7 @@ std::vector<uint32_t> skin_nodes(const Model& model) {
 std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::string& name, std::shared_ptr<const void> owner) {
   const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
   if (bytes.size() < 8 || !schema::CarBufferHasIdentifier(data)) refuse(name, "this is not a baked car");
-  if (bytes.size() > max_car_size) refuse(name, "it is larger than 256 MiB");
+  if (bytes.size() > asset_limit) refuse(name, "it is larger than 256 MiB");
   flatbuffers::Verifier verifier(data, bytes.size());
   if (!schema::VerifyCarBuffer(verifier)) refuse(name, "the file is cut off or damaged");
   const schema::Car& file = *schema::GetCar(data);
@@ -246,10 +244,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   car->mean_edge = float(std::accumulate(edges.begin(), edges.end(), 0.0) / double(edges.size()));
   if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours, each next to all others");
   car->model.blocks = &car->blocks;
-
-  char hash[17];
-  std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(XXH64(bytes.data(), bytes.size(), 0)));
-  car->hash = hash;
+  car->hash = hash_of(bytes.data(), bytes.size());
   return car;
 }
 

@@ -16,7 +16,6 @@ inline constexpr uint32_t max_nodes = 200'000;
 inline constexpr uint32_t max_tets = 1'000'000;
 inline constexpr uint32_t max_vertices = 200'000;
 inline constexpr uint32_t max_regions = 16;
-inline constexpr size_t max_car_size = size_t{256} << 20;     // bytes: a car at all of the limits above has 165 MB
 inline constexpr float max_extent = 50;                       // m from the origin along each axis: twice the longest car
 inline constexpr float least_mass = 10, most_mass = 100'000;  // kg: a pedal car, a loaded lorry
 inline constexpr double smallest_volume = 1e-12;  // m^3 of a tet, a tenth of a millimetre cubed: nothing to divide by

@@ -2,9 +2,6 @@
 // tells all: deltas whose keyframe it has, reactions by car, and keyframes asked for where one is missing.
 #include "gateway/view.h"
 
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include <cctype>
 #include <chrono>
 #include <cmath>
@@ -27,7 +24,9 @@
 #include "gateway/control.h"
 #include "io/files.h"
 #include "io/transport.h"
+#include "protocol/asset.h"
 #include "protocol/key.h"
+#include "protocol/message.h"
 #include "recording/answer.h"
 #include "recording/film.h"
 #include "recording/recording.h"
@@ -98,13 +97,6 @@ struct Gateway {
 
 void need(int status) {
   if (status < 0) throw std::runtime_error(transport_error());
-}
-
-template <class Table>
-const Table* verified(std::span<const uint8_t> bytes) {
-  flatbuffers::Verifier verifier(bytes.data(), bytes.size());
-  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
-  return flatbuffers::GetRoot<Table>(bytes.data());
 }
 
 void set(Gateway& gateway, const std::string& key, std::span<const uint8_t> bytes) {
@@ -205,10 +197,10 @@ void take_piece(Gateway& gateway, const std::string& hash, Fetched& asset, std::
   asset.bytes->insert(asset.bytes->end(), piece.begin(), piece.end());
   asset.size = asset.bytes->size();
   if (piece.size() == asset_piece) return ask_for_piece(gateway, hash, asset);
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(XXH64(asset.bytes->data(), asset.size, 0)));
+  const std::string digits = hash_of(asset.bytes->data(), asset.size);
   if (hash == digits) return show_asset(gateway, hash, asset);
-  std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(), digits);
+  std::fprintf(stderr, "crumple view: the bytes of asset %s have the hash %s; it is asked for again\n", hash.c_str(),
+               digits.c_str());
 }
 
 // Whoever may publish can invent parts, and each is kept.

@@ -6,11 +6,11 @@
 #include <optional>
 #include <stdexcept>
 
+#include "protocol/surface_codec.h"
 #include "recording/answer.h"
 #include "recording/recording.h"
 #include "schema/message_generated.h"
 #include "viewer/surface.h"
-#include "wire/surface.h"
 
 namespace crumple {
 namespace {

@@ -16,7 +16,7 @@ enum class Solver : uint8_t { nodal, classic };
 
 struct Material {
   // Of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. Yield stress and its slope below set the
-  // crush (README, calibration); the modulus then sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
+  // crush (bench/README.md); the modulus then sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
   float young_modulus = 15e6f;
   // Elastic, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
   float poisson_ratio = 0.0f;

@@ -80,7 +80,7 @@ void field(File& file, Is<Body> auto& body) {
   for_each_field([&](const auto& each) { field(file, body.*each.value); });
 }
 template <class File>
-void field(File& file, Is<Told> auto& told) {
+void field(File& file, Is<ViewerState> auto& told) {
   if constexpr (!File::sums) field(file, told.keyframe, told.latest);
   field(file, told.tick, told.keyframe_tick, told.due, told.flowing);
 }

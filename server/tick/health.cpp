@@ -18,7 +18,7 @@ std::vector<HealthReport::CarTold> told_lately(const World& world) {
   std::vector<HealthReport::CarTold> out;
   for (const auto& [id, car] : world.cars) {
     HealthReport::CarTold told{id, {}};
-    for (const Told& level : car.told) told.ticks.push_back(level.tick);
+    for (const ViewerState& level : car.told) told.ticks.push_back(level.tick);
     if (last(told) > 0 && double(world.tick - last(told)) <= told_seconds * world.rate) out.push_back(std::move(told));
   }
   if (out.size() <= told_most) return out;

@@ -1,12 +1,9 @@
 // The messages of a tick, in the order they came. A bad one is refused whole, counted, answered if it was a query, and leaves
 // the world as it was.
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include <algorithm>
-#include <cstdio>
 #include <stdexcept>
 
+#include "protocol/asset.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 
@@ -97,9 +94,7 @@ Verdict take_asset(World& world, const Bytes& bytes) {
                                           std::to_string(given_most) +
                                           " that may be given while the scene runs; give its file to `crumple serve --car`"};
   }
-  char hash[17];
-  std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(XXH64(asset.car.data(), asset.car.size(), 0)));
-  if (find_asset(world, hash)) return std::nullopt;
+  if (find_asset(world, hash_of(asset.car.data(), asset.car.size()))) return std::nullopt;
   try {
     return give(world, read_car(asset.car, "asset"));
   } catch (const std::runtime_error& error) {

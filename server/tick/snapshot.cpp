@@ -86,7 +86,7 @@ void check(const World& world, const Instance& car) {
   good = good && last.sweeps <= uint64_t{1000} * last.substeps && last.work <= uint64_t{max_tets} * last.sweeps;
   good = good && last.residual >= 0;
   const size_t shown = 3 * car.levels->front()->skin_node.size();
-  for (const Told& told : car.told) {
+  for (const ViewerState& told : car.told) {
     good = good && told.keyframe.size() == shown && told.latest.size() == shown;
     good = good && told.keyframe_tick <= told.tick && told.tick <= world.tick;
   }
@@ -160,8 +160,8 @@ void load(Reader& file, World& world) {
   car.hashes.body = hash(car.body);
   car.hashes.log = hash(car.log);
   for (size_t k = 0; k < car.told.size(); ++k) {
-    car.hashes.keyframe[k] = hash(car.told[k].keyframe);
-    car.hashes.latest[k] = hash(car.told[k].latest);
+    car.hashes.keyframe[k] = surface_hash(car.told[k].keyframe);
+    car.hashes.latest[k] = surface_hash(car.told[k].latest);
   }
 }
 

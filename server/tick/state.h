@@ -17,8 +17,8 @@
 #include "sim/deform.h"
 #include "sim/transfer.h"
 #include "tick/reconcile.h"
+#include "tick/surface_update.h"
 #include "tick/world.h"
-#include "wire/surface.h"
 
 namespace crumple {
 
@@ -45,7 +45,7 @@ struct Instance {
     uint64_t body = 0, log = 0;
     std::array<uint64_t, surface_levels.size()> keyframe{}, latest{};
   } hashes;
-  std::array<Told, surface_levels.size()> told;
+  std::array<ViewerState, surface_levels.size()> told;
   // The last ticks', from which this one's share of the budget follows.
   uint16_t sweeps = 0;    // of a sub-step, that it may make at most
   uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
@@ -60,7 +60,7 @@ struct Instance {
   std::shared_ptr<const Car> next_level;  // that it comes to; null: it stays
   bool changed = false;                   // it came to another
   uint64_t order = 0;                     // among the cars of the scene, by their ids
-  std::array<News, surface_levels.size()> news;
+  std::array<SurfaceUpdate, surface_levels.size()> news;
 };
 
 // A host lives as long as it has cars or obstacles; its sequence numbers are forgotten with it.

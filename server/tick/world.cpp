@@ -88,17 +88,17 @@ void show(const World& world, Instance& car, Worker& worker) {
   displace_shown(world, car, worker.displaced);
   worker.displacement.resize(3 * worker.displaced.size());
   for (size_t level = 0; level < surface_levels.size(); ++level) {
-    Told& told = car.told[level];
+    ViewerState& told = car.told[level];
     // In turns, by their order. What has come to rest does not wait for its turn: it may have none for long.
     const bool its_turn = (world.tick + car.order) % surface_levels[level].ticks == 0;
     if (!its_turn && !car.body.settled && !told.due) continue;
     const float quantum = quantum_of(world, level);
     quantise(worker.displaced, quantum, worker.displacement);
-    const News& news = car.news[level] =
-        tell({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
-    if (news.kind == News::Kind::none) continue;
-    car.hashes.latest[level] = hash(told.latest);
-    if (news.kind == News::Kind::keyframe) car.hashes.keyframe[level] = car.hashes.latest[level];
+    const SurfaceUpdate& news = car.news[level] =
+        update_viewers({world.tick, car.levels->front()->hash, quantum}, car.body.settled, worker.displacement, told);
+    if (news.kind == SurfaceUpdate::Kind::none) continue;
+    car.hashes.latest[level] = surface_hash(told.latest);
+    if (news.kind == SurfaceUpdate::Kind::keyframe) car.hashes.keyframe[level] = car.hashes.latest[level];
   }
 }
 
@@ -128,7 +128,8 @@ bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.a
 
 void advance_car(const World& world, Instance& car, Worker& worker) {
   if (car.idle) return;
-  const bool told = std::none_of(car.told.begin(), car.told.end(), [](const Told& each) { return each.due || each.flowing; });
+  const bool told =
+      std::none_of(car.told.begin(), car.told.end(), [](const ViewerState& each) { return each.due || each.flowing; });
   const bool resting = car.body.settled && told && !car.changed;
   const auto before = of_rest(car.body);
   move(world, car, worker);
@@ -221,7 +222,7 @@ void move_obstacles(World& world) {
 void tell_viewers(World& world, Outbox& outbox) {
   for (auto& [id, car] : world.cars) {
     for (size_t level = 0; level < surface_levels.size(); ++level) {
-      const char* kind = car.news[level].kind == News::Kind::keyframe ? "/key/" : "/delta/";
+      const char* kind = car.news[level].kind == SurfaceUpdate::Kind::keyframe ? "/key/" : "/delta/";
       for (Bytes& part : car.news[level].parts) outbox.push_back({"car/" + id + kind + std::to_string(level), std::move(part)});
     }
     car.news = {};
@@ -252,7 +253,7 @@ void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox)
     }
     if (one.ticket == 0) continue;
     const Instance& car = found->second;
-    const Told& told = car.told[one.level];
+    const ViewerState& told = car.told[one.level];
     auto parts = encode_keyframe({told.keyframe_tick, car.levels->front()->hash, quantum_of(world, one.level)}, told.keyframe,
                                  max_nodes);
     outbox.push_back({one.key, std::move(parts.at(0)), one.ticket});
@@ -320,13 +321,13 @@ void renew(World& world) {
 
 void renew(Instance& car) {
   car.idle = false;
-  for (Told& told : car.told) told.due = true;
+  for (ViewerState& told : car.told) told.due = true;
 }
 
 void shown(const World& world, Outbox& outbox) {
   for (const auto& [id, car] : world.cars) {
     for (size_t level = 0; level < surface_levels.size(); ++level) {
-      const Told& told = car.told[level];
+      const ViewerState& told = car.told[level];
       const SurfaceHead head{told.keyframe_tick, car.levels->front()->hash, quantum_of(world, level)};
       for (Bytes& part : encode_keyframe(head, told.keyframe))
         outbox.push_back({"car/" + id + "/key/" + std::to_string(level), std::move(part)});

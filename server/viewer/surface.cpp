@@ -1,40 +1,21 @@
-// Keyframe and delta decoding. The FlatBuffers verifier bounds every offset; what it cannot know (counts that must fit each
-// other, ranges inside the surface) is checked here before anything is written.
+// Decodes keyframes and deltas. The verifier of FlatBuffers bounds every offset. This file checks what the verifier cannot know
+// (counts that must fit each other, ranges in the surface) before it writes anything.
 #include "viewer/surface.h"
 
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include <algorithm>
-#include <bit>
 #include <cmath>
-#include <optional>
 #include <utility>
 
+#include "protocol/message.h"
+#include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 
 namespace crumple::client {
 namespace {
 
-static_assert(std::endian::native == std::endian::little, "the hash is of little-endian numbers");
-
-constexpr uint32_t block = 16;  // nodes
-
-uint64_t hash_of(const Quanta& quanta) { return XXH64(quanta.data(), quanta.size() * sizeof(int16_t), 0); }
-
-template <class Table>
-const Table* verified(std::span<const uint8_t> bytes) {
-  flatbuffers::Verifier::Options options;
-  options.max_depth = 4;
-  options.max_tables = 4;
-  flatbuffers::Verifier verifier(bytes.data(), bytes.size(), options);
-  if (bytes.empty() || !verifier.VerifyBuffer<Table>(nullptr)) return nullptr;
-  return flatbuffers::GetRoot<Table>(bytes.data());
-}
-
 Outcome refuse(std::string why) { return {Applied::refused, std::move(why)}; }
 
-// Begins to gather another tick, from `base` (nothing: zeros), unless these parts belong to the tick being gathered.
+// Begins to gather another tick, from `base` (empty: zeros), unless the part belongs to the tick that is being gathered.
 void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathering& parts) {
   if (parts.tick == tick && parts.hash == hash && parts.quanta.size() == size) return;
   parts.tick = tick;
@@ -45,41 +26,7 @@ void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathe
     parts.quanta.assign(size, 0);
 }
 
-// `count` numbers of each axis, as schema/message.fbs packs them; nothing if the words are not just theirs.
-std::optional<Quanta> unpack(std::span<const uint16_t> words, uint32_t count) {
-  Quanta out(size_t{3} * count);
-  size_t at = 0;
-  uint16_t last[3] = {};
-  for (uint32_t first = 0; first < count; first += block) {
-    if (at == words.size()) return std::nullopt;
-    const uint32_t head = words[at++];
-    const uint32_t width[3] = {head & 31, head >> 5 & 31, head >> 10 & 31};
-    if (head >> 15 || std::max({width[0], width[1], width[2]}) > 16) return std::nullopt;
-    if (width[0] + width[1] + width[2] > words.size() - at) return std::nullopt;
-    const uint32_t nodes = std::min(block, count - first);
-    for (size_t axis = 0; axis < 3; ++axis) {
-      const uint32_t mask = (1u << width[axis]) - 1;
-      uint32_t waiting = 0, bits = 0;
-      const uint16_t* from = words.data() + at;
-      for (uint32_t k = 0; k < nodes; ++k) {
-        if (bits < width[axis]) {
-          waiting |= uint32_t{*from++} << bits;
-          bits += 16;
-        }
-        const uint32_t zigzag = waiting & mask;
-        waiting >>= width[axis];
-        bits -= width[axis];
-        last[axis] = static_cast<uint16_t>(last[axis] + ((zigzag >> 1) ^ (0 - (zigzag & 1))));
-        out[size_t{3} * (first + k) + axis] = static_cast<int16_t>(last[axis]);
-      }
-      at += width[axis];
-    }
-  }
-  if (at != words.size()) return std::nullopt;
-  return out;
-}
-
-// What keyframes and deltas have in common: counts that fit each other and the part's numbers, or why it is refused.
+// Checks what keyframes and deltas have in common, writes the numbers of the part, and returns why it is refused, or NULL.
 template <class Message>
 const char* read_part(const Message& message, Quanta& out) {
   const uint32_t nodes = message.node_count(), count = message.count();
@@ -94,20 +41,20 @@ const char* read_part(const Message& message, Quanta& out) {
 }  // namespace
 
 Outcome apply_keyframe(std::span<const uint8_t> bytes, Surface& surface) {
-  const auto* message = verified<schema::Keyframe>(bytes);
+  const auto* message = verified<schema::Keyframe>(bytes, 1);
   if (!message) return refuse("a keyframe is not a well-formed FlatBuffers table");
   Quanta part;
   if (const char* why = read_part(*message, part)) return refuse(std::string("a keyframe is refused: ") + why);
   if (!(message->quantum() > 0 && message->quantum() <= 1)) return refuse("quantum of a keyframe is not in (0, 1] m");
   if (message->asset()->size() != 16) return refuse("asset of a keyframe is not a hash of 16 digits");
 
-  // A keyframe of the very tick that deltas already gave is still wanted: as the base of what follows.
+  // Deltas may have given the surface of this very tick; the keyframe is still needed, because the next deltas are against it.
   const bool holds_key = !surface.key.empty();
   if (holds_key && message->tick() <= surface.key_tick) return {Applied::old, {}};
   if (message->tick() < surface.key_parts.tick && !surface.key_parts.quanta.empty()) return {Applied::old, {}};
   gather(message->tick(), message->hash(), size_t{3} * message->node_count(), nullptr, surface.key_parts);
   std::copy(part.begin(), part.end(), surface.key_parts.quanta.begin() + size_t{3} * message->first());
-  if (hash_of(surface.key_parts.quanta) != message->hash()) return {Applied::part, {}};
+  if (surface_hash(surface.key_parts.quanta) != message->hash()) return {Applied::part, {}};
 
   const bool newer = surface.quanta.empty() || message->tick() > surface.tick;
   surface.asset = message->asset()->str();
@@ -123,7 +70,7 @@ Outcome apply_keyframe(std::span<const uint8_t> bytes, Surface& surface) {
 }
 
 Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
-  const auto* message = verified<schema::Delta>(bytes);
+  const auto* message = verified<schema::Delta>(bytes, 1);
   if (!message) return refuse("a delta is not a well-formed FlatBuffers table");
   Quanta part;
   if (const char* why = read_part(*message, part)) return refuse(std::string("a delta is refused: ") + why);
@@ -141,7 +88,7 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
   for (size_t i = 0; i < part.size(); ++i)
     surface.delta_parts.quanta[first + i] =
         static_cast<int16_t>(static_cast<uint16_t>(surface.key[first + i]) + static_cast<uint16_t>(part[i]));
-  if (hash_of(surface.delta_parts.quanta) != message->hash()) return {Applied::part, {}};
+  if (surface_hash(surface.delta_parts.quanta) != message->hash()) return {Applied::part, {}};
   surface.tick = message->tick();
   surface.hash = message->hash();
   surface.quanta.swap(surface.delta_parts.quanta);

@@ -1,6 +1,6 @@
-// What a viewer holds of one car. In: keyframes and deltas as they come, lost, doubled, reordered or hostile. Out: the
-// quantised surface of the newest tick of which every part is there. Law: a surface is whole when its XXH64 is the one that
-// its parts state, and nothing else makes it whole; what is older than what is held is dropped.
+// Holds the surface of one car. It takes keyframes and deltas as they come: lost, repeated, reordered or hostile. It gives the
+// surface, in quanta, of the newest tick of which every part is there. A surface is whole if, and only if, its XXH64 is the one
+// that its parts state. Messages that are older than the surface are dropped.
 #pragma once
 
 #include <cstdint>
@@ -10,11 +10,9 @@
 
 namespace crumple::client {
 
-inline constexpr uint32_t surface_node_limit = 200'000;  // as the baked car's
+using Quanta = std::vector<int16_t>;  // 3 for each node of the skin
 
-using Quanta = std::vector<int16_t>;  // 3 a node of the skin
-
-struct Gathering {  // the parts of one tick, until its hash is met
+struct Gathering {  // the parts of one tick, until they have its hash
   uint64_t tick = 0;
   uint64_t hash = 0;
   Quanta quanta;
@@ -23,20 +21,20 @@ struct Gathering {  // the parts of one tick, until its hash is met
 struct Surface {
   std::string asset;
   float quantum = 0;  // m
-  uint64_t tick = 0;  // newest whole tick; meaningless while quanta is empty
+  uint64_t tick = 0;  // of the newest whole surface; meaningless while quanta is empty
   uint64_t hash = 0;
   Quanta quanta;
-  uint64_t key_tick = 0;  // newest whole keyframe
+  uint64_t key_tick = 0;  // of the newest whole keyframe
   Quanta key;
   Gathering key_parts, delta_parts;
 };
 
 enum class Applied {
-  whole,             // the surface stands at a newer tick now
-  part,              // taken in, more parts are to come
-  old,               // not newer than what is held
-  missing_keyframe,  // a delta against a keyframe that is not held: ask for it
-  refused,           // malformed; `why` says so, the surface is untouched
+  whole,             // the surface has a newer tick now
+  part,              // the part was taken in, and others are missing
+  old,               // not newer than the surface
+  missing_keyframe,  // the keyframe of this delta is missing: ask for it
+  refused,           // malformed: `why` says how; the surface is unchanged
 };
 
 struct Outcome {
@@ -44,7 +42,7 @@ struct Outcome {
   std::string why;
 };
 
-// Bytes must be aligned to 8.
+// The bytes must be aligned to 8.
 [[nodiscard]] Outcome apply_keyframe(std::span<const uint8_t>, Surface&);
 [[nodiscard]] Outcome apply_delta(std::span<const uint8_t>, Surface&);
 

@@ -9,6 +9,7 @@
 
 #include "protocol/key.h"
 #include "protocol/limits.h"
+#include "protocol/message.h"
 #include "schema/message_generated.h"
 #include "sim/obstacle.h"
 #include "wire/refusal.h"
@@ -44,20 +45,14 @@ std::string count_sentence(size_t count, size_t limit);
 // The root table if every offset below it holds; otherwise nothing, and the refusal. `tables`: of a list in it, at most; twice
 // as many may be there, so that one too many is told from a forged file that names one table a million times.
 template <class Table>
-const Table* verified(std::span<const std::byte> bytes, const char* what, const char* table, uint32_t tables, Checker& check) {
+const Table* checked(std::span<const std::byte> bytes, const char* what, const char* table, uint32_t tables, Checker& check) {
   if (bytes.size() > check.limits.message_size) {
     check.refuse(
         Reason::too_large, {}, what,
         "has " + std::to_string(bytes.size()) + " bytes; " + std::to_string(check.limits.message_size) + " are allowed");
     return nullptr;
   }
-  flatbuffers::Verifier::Options options;
-  options.max_depth = 4;
-  options.max_tables = 2 * tables + 8;
-  const auto* data = reinterpret_cast<const uint8_t*>(bytes.data());
-  if (!bytes.empty() && flatbuffers::Verifier(data, bytes.size(), options).VerifyBuffer<Table>(nullptr)) {
-    return flatbuffers::GetRoot<Table>(data);
-  }
+  if (const auto* root = crumple::verified<Table>(bytes, 2 * tables + 8)) return root;
   check.refuse(Reason::malformed, {}, what,
                "(" + std::to_string(bytes.size()) + " bytes) is not a " + table +
                    " table of schema/message.fbs: cut off, an offset astray, a required field missing, or too many tables");

@@ -162,7 +162,7 @@ void take(Value from, Value& value) {
 LoadOrder read(const schema::Load& from, Checker& check) {
   LoadOrder order;
   const std::span bytes(reinterpret_cast<const std::byte*>(from.state()->data()), from.state()->size());
-  const schema::State* state = verified<schema::State>(bytes, "load.state", "State", 1, check);
+  const schema::State* state = checked<schema::State>(bytes, "load.state", "State", 1, check);
   if (!state) return order;
   order.asset = check.asset({"load.state"}, state->asset());
   if (state->gradients()->size() % 9 != 0) {
@@ -181,7 +181,7 @@ LoadOrder read(const schema::Load& from, Checker& check) {
 
 Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Intents& out) {
   Checker check{limits};
-  const auto* from = verified<schema::Poses>(bytes, "poses", "Poses", limits.cars, check);
+  const auto* from = checked<schema::Poses>(bytes, "poses", "Poses", limits.cars, check);
   if (!from) return check.refusal;
   if (from->cars()->size() > limits.cars) {
     check.refuse(Reason::too_many_cars, {}, "cars", count_sentence(from->cars()->size(), limits.cars));
@@ -203,7 +203,7 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Intents& 
 
 Verdict decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleList& out) {
   Checker check{limits};
-  const auto* from = verified<schema::Obstacles>(bytes, "obstacles", "Obstacles", limits.obstacles_per_host, check);
+  const auto* from = checked<schema::Obstacles>(bytes, "obstacles", "Obstacles", limits.obstacles_per_host, check);
   if (!from) return check.refusal;
   const auto& list = *from->obstacles();
   if (list.size() > limits.obstacles_per_host) {
@@ -247,7 +247,7 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleL
 
 Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& out) {
   Checker check{limits};
-  const auto* from = verified<schema::Command>(bytes, "command", "Command", 1, check);
+  const auto* from = checked<schema::Command>(bytes, "command", "Command", 1, check);
   if (!from) return check.refusal;
   if (const auto* spawn = from->order_as_Spawn()) {
     out = read(*spawn, check);
@@ -273,13 +273,13 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& ou
 
 Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Budget& out) {
   Checker check{limits};
-  if (const auto* from = verified<schema::Budget>(bytes, "budget", "Budget", 1, check)) out = {from->work()};
+  if (const auto* from = checked<schema::Budget>(bytes, "budget", "Budget", 1, check)) out = {from->work()};
   return check.refusal;
 }
 
 Verdict decode(std::span<const std::byte> bytes, const Limits& limits, GivenAsset& out) {
   Checker check{limits};
-  if (const auto* from = verified<schema::Asset>(bytes, "asset", "Asset", 1, check))
+  if (const auto* from = checked<schema::Asset>(bytes, "asset", "Asset", 1, check))
     out.car = std::as_bytes(std::span(from->car()->data(), from->car()->size()));
   return check.refusal;
 }
@@ -287,7 +287,7 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, GivenAsse
 Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
   const Limits limits;
   Checker check{limits};
-  if (const auto* from = verified<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {
+  if (const auto* from = checked<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {
     out = {from->tick(), from->hash(), from->lost_inputs(), from->lost_outputs()};
   }
   return check.refusal;

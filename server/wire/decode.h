@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "protocol/limits.h"
+#include "protocol/message.h"
 #include "sim/body.h"
 #include "sim/material.h"
 #include "sim/motion.h"
@@ -19,8 +20,6 @@
 #include "wire/refusal.h"
 
 namespace crumple {
-
-using Bytes = std::vector<std::byte>;
 
 struct Intent {
   std::string car;

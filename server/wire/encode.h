@@ -46,11 +46,4 @@ struct HealthReport {
 };
 Bytes encode_health(const HealthReport&);
 
-template <class Table>
-Bytes finish(flatbuffers::FlatBufferBuilder& builder, flatbuffers::Offset<Table> root) {
-  builder.Finish(root);
-  const auto* data = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
-  return Bytes(data, data + builder.GetSize());
-}
-
 }  // namespace crumple

@@ -7,9 +7,9 @@
 #include "cpp/session.h"
 #include "fuzz/small_world.h"
 #include "fuzz/surface.h"
+#include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 #include "wire/encode.h"
-#include "wire/surface.h"
 
 namespace crumple::fuzz {
 namespace {

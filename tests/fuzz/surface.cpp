@@ -7,8 +7,8 @@
 #include <random>
 
 #include "fuzz/entries.h"
+#include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
-#include "wire/surface.h"
 
 namespace crumple::fuzz {
 namespace {

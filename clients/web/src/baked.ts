@@ -1,4 +1,4 @@
-// The baked car (schema/car.fbs) as a viewer needs it: its surface at rest, and the nodes that each vertex moves with.
+// Reads of the baked car (schema/car.fbs) what a viewer needs: its surface at rest, and the nodes that each vertex moves with.
 import { ByteBuffer } from "flatbuffers";
 import { Car } from "./crumple/schema/car.js";
 import { digits, hashOf } from "./decode.js";
@@ -11,20 +11,20 @@ export interface BakedCar {
   mass: number;
   /** m, car's frame */
   centerOfMass: [number, number, number];
-  /** Their names; the first is "body", where nothing was painted. */
+  /** Names of the regions. The first is "body", which has all that nobody painted. */
   regions: string[];
-  /** Rest positions, 3 a vertex, m, car's frame. */
+  /** Positions at rest, 3 numbers for each vertex, m, car's frame. */
   vertex: Float32Array;
-  /** 3 vertices each */
+  /** 3 vertices for each triangle. */
   triangle: Uint32Array;
-  /** How many nodes the skin uses: what keyframes and deltas tell of, in this order. */
+  /** How many nodes the skin uses. Keyframes and deltas have these nodes, in this order. */
   nodes: number;
-  /** Four nodes a vertex, as they are counted in keyframes and deltas, and their weights. */
+  /** Four nodes for each vertex, numbered as in keyframes and deltas, and their weights. */
   node: Uint32Array;
   weight: Float32Array;
 }
 
-/** asset: its hash, 16 digits. Throws an Error with a sentence where the bytes are not this car. */
+/** asset: the hash of the car, 16 digits. Throws an Error with a sentence if the bytes are not this car. */
 export function readCar(bytes: Uint8Array, asset: string): BakedCar {
   const found = digits(hashOf(bytes));
   if (found !== asset) throw new Error(`the bytes of asset ${asset} have the hash ${found}: ask again`);
@@ -48,7 +48,8 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
   };
 }
 
-// Nodes with a weight above 0 are numbered ascending, as keyframes and deltas have them. A vertex of `skin`: four nodes, four weights.
+// Numbers the nodes that have a weight above 0 in ascending order, as keyframes and deltas do. `skin` has four nodes and four weights
+// for each vertex.
 function readSkin(skinNode: Uint32Array, skinWeight: Float32Array, vertices: number, nodes: number) {
   const number = new Int32Array(nodes).fill(-1);
   const node = new Uint32Array(4 * vertices), weight = new Float32Array(4 * vertices);
@@ -71,7 +72,7 @@ function readSkin(skinNode: Uint32Array, skinWeight: Float32Array, vertices: num
   return { nodes: used, node, weight };
 }
 
-/** Positions of the vertices, m, car's frame, into `out` (3 a vertex). False: the surface is not of this car. */
+/** Writes the positions of the vertices into `out`: 3 numbers each, m, car's frame. Returns false if the surface is not of this car. */
 export function skin(car: BakedCar, surface: { quanta: Int16Array; quantum: number }, out: Float32Array): boolean {
   const { quanta, quantum } = surface;
   if (quanta.length !== 3 * car.nodes) return false;
@@ -91,14 +92,15 @@ export function skin(car: BakedCar, surface: { quanta: Int16Array; quantum: numb
   return true;
 }
 
-/** Thinner ones than this share of their longest edge have no strain: their vertices' last bits would be it. */
+/** A triangle that is thinner than this share of its longest edge counts as unstrained: rounding of its vertices would be its strain. */
 const sliver = 1e-5;
 
 /**
- * Strain of a surface `now` (3 a vertex, as `skin` makes it) against rest, a vertex, into `out`: the largest |principal stretch - 1| of
- * its triangles, by their area at rest. Principal stretches are sqrt(1 + 2 e), with e the principal values of the Green strain
- * (G^-1 H - 1) / 2, where G and H have the products of a triangle's edges, at rest and now. The elastic part is in it: about 0.01 in this
- * body (Material::yield), 0.002 in sheet steel. So what a car shows that nothing touches is plastic.
+ * Writes the strain of a surface against rest into `out`, a number for each vertex. now: 3 numbers for each vertex, as `skin` writes
+ * them. The strain of a triangle is its largest |principal stretch - 1|; that of a vertex is the mean of its triangles, weighted by
+ * their area at rest. Principal stretches are sqrt(1 + 2 e), where e are the principal values of the Green strain (G^-1 H - 1) / 2, and
+ * G and H have the products of the triangle's edges at rest and now. The strain has an elastic part, which is about 0.01 in this body
+ * (Material::yield) and 0.002 in sheet steel. A car that touches nothing shows its plastic strain.
  */
 export function strain(car: BakedCar, now: Float32Array, out: Float32Array): void {
   const { vertex: rest, triangle } = car, area = new Float32Array(out.length);
@@ -107,7 +109,7 @@ export function strain(car: BakedCar, now: Float32Array, out: Float32Array): voi
   for (let t = 0; t < triangle.length; t += 3) {
     const a = triangle[t], b = triangle[t + 1], c = triangle[t + 2];
     products(rest, a, b, c, g);
-    const squared = g[0] * g[2] - g[1] * g[1]; // of twice the area
+    const squared = g[0] * g[2] - g[1] * g[1]; // the square of twice the area
     const longest = Math.max(g[0], g[2], g[0] - 2 * g[1] + g[2]);
     if (!(squared > (sliver * longest) ** 2)) continue;
     products(now, a, b, c, h);
@@ -122,7 +124,7 @@ export function strain(car: BakedCar, now: Float32Array, out: Float32Array): voi
   for (let v = 0; v < out.length; ++v) if (area[v]) out[v] /= area[v];
 }
 
-// Of the edges from a: b with itself, b with c, c with itself.
+// Writes products of the edges from a: that to b with itself, that to b with that to c, that to c with itself.
 function products(at: Float32Array, a: number, b: number, c: number, out: number[]): void {
   a *= 3;
   b *= 3;

@@ -1,4 +1,5 @@
-// The other direction of `crumple view --control`: commands on cars, and cars painted anew. What is refused is an Error with the sentence.
+// Commands cars and paints them anew through `crumple view --control`. If the gateway or the server refuses, the functions throw an
+// Error with the sentence.
 import { Builder, ByteBuffer } from "flatbuffers";
 import { Answer } from "./crumple/schema/answer.js";
 import { Command } from "./crumple/schema/command.js";
@@ -11,14 +12,14 @@ import { Replace } from "./crumple/schema/replace.js";
 import { Spawn } from "./crumple/schema/spawn.js";
 import type { Pose } from "./decode.js";
 
-/** A parameter of schema/message.fbs, Parameters, as the server checks it. */
+/** A field of Parameters (schema/message.fbs) with the range that the server allows. */
 export interface Parameter {
   name: string;
   low: number;
   high: number;
   standard: number;
   unit: string;
-  /** Of each region; else of the car. */
+  /** Each region has its own value; otherwise the car has one. */
   ofRegion: boolean;
   whole: boolean;
 }
@@ -31,7 +32,7 @@ const solvers = ["nodal", "classic"];
 export class Control {
   private constructor(readonly parameters: Parameter[], readonly url: URL) {}
 
-  /** null: this gateway only shows. url: of its page. */
+  /** url: of the page of a gateway. null: this gateway takes no commands. */
   static async find(url: string | URL): Promise<Control | null> {
     const answer = await fetch(new URL("parameters", url));
     if (!answer.ok) return null;
@@ -39,7 +40,7 @@ export class Control {
     return control ? new Control(parameters, new URL(url)) : null;
   }
 
-  /** All of them or none. */
+  /** Changes all of these parameters, or none. */
   change(car: string, changes: Changes): Promise<void> {
     return this.#command(car, Order.Parameters, (builder) => {
       Parameters.startParameters(builder);
@@ -70,12 +71,12 @@ export class Control {
     });
   }
 
-  /** The same car, undamaged, of another asset; the rest of it stays. */
+  /** Makes the car another asset, undamaged; its host, mass, parameters and motion stay. */
   replace(car: string, asset: string): Promise<void> {
     return this.#command(car, Order.Replace, (builder) => Replace.createReplace(builder, builder.createString(asset)));
   }
 
-  /** The car painted anew; the scene's server has it. regions: JSON of schema/regions.fbs. */
+  /** Gives the baked car painted anew, which the scene's server then has too. regions: JSON of schema/regions.fbs. */
   async paint(asset: string, regions: string): Promise<Uint8Array> {
     return this.#post(`paint/${asset}`, regions);
   }

@@ -1,5 +1,5 @@
-// Messages of schema/message.fbs: bytes in, typed arrays and plain objects out. SI units; world z up; a car is x forward, y left,
-// z up. What does not hold is refused and leaves everything as it was; nothing here throws, and nothing knows a network.
+// Decodes messages of schema/message.fbs into typed arrays and plain objects. Units are SI. In the world z is up; a car has x forward,
+// y left and z up. Functions refuse a malformed message, which changes nothing; they throw nothing and know no network.
 import { ByteBuffer } from "flatbuffers";
 import xxhash, { type XXHashAPI } from "xxhash-wasm";
 import { Delta } from "./crumple/schema/delta.js";
@@ -19,17 +19,17 @@ const mostNodes = 200_000;
 
 const hashes: XXHashAPI = await xxhash();
 
-/** XXH64, as messages and the names of assets have it. */
+/** Gives the XXH64 of bytes, as messages and the names of assets have it. */
 export function hashOf(bytes: Uint8Array): bigint {
   return hashes.h64Raw(bytes);
 }
 
-/** 16 hexadecimal digits, as `crumple watch` prints them. */
+/** Gives a hash as 16 hexadecimal digits, as `crumple watch` prints it. */
 export function digits(hash: bigint): string {
   return hash.toString(16).padStart(16, "0");
 }
 
-// FlatBuffers' own readers give undefined or throw a RangeError beyond the end: either way nothing was changed yet.
+// Beyond the end of a message FlatBuffers' readers give undefined or throw a RangeError; nothing has changed by then.
 function attempt<T>(read: () => T): T | null {
   try {
     return read();
@@ -38,7 +38,10 @@ function attempt<T>(read: () => T): T | null {
   }
 }
 
-/** The numbers of a part (x, y, z a node, modulo 2^16), as schema/message.fbs packs them; null if the words are not just theirs. */
+/**
+ * Unpacks the numbers of a part as schema/message.fbs packs them: x, y, z of each node, modulo 2^16. null: the words are too few or too
+ * many for them.
+ */
 export function unpack(words: Uint16Array, count: number): Int16Array | null {
   const out = new Int16Array(3 * count);
   const last = [0, 0, 0];
@@ -71,7 +74,7 @@ export function unpack(words: Uint16Array, count: number): Int16Array | null {
   return at === words.length ? out : null;
 }
 
-/** whole: a newer surface is held now. part: more parts of its tick must come. old: what is held is as new. */
+/** whole: the surface is a newer one now. part: other parts of this tick are missing. old: the surface is as new already. */
 export type Outcome = "whole" | "part" | "old" | "missing keyframe" | "refused";
 
 interface Part {
@@ -88,7 +91,7 @@ function readPart(message: Keyframe | Delta): Part | null {
   return numbers && { first, nodes, numbers };
 }
 
-/** Of one tick, while not all of its parts are there. */
+/** The parts of one tick that have come, while others are missing. */
 interface Gathering {
   tick: bigint;
   hash: bigint;
@@ -104,16 +107,16 @@ function complete(parts: Gathering): boolean {
   return hashOf(new Uint8Array(buffer, byteOffset, byteLength)) === parts.hash;
 }
 
-/** What a viewer holds of one car on one surface level. Messages may be lost, repeated or reordered. */
+/** Holds the surface of one car on one surface level. Messages may be lost, repeated or reordered. */
 export class Surface {
-  /** The newest tick held whole; 0: none yet. */
+  /** The newest tick of which every part has come; 0: none yet. */
   tick = 0n;
   hash = 0n;
   /** m */
   quantum = 0;
   /** Hash of the baked car, 16 digits. */
   asset = "";
-  /** Displacement from rest in quanta, 3 a node of the skin, car's frame. Replaced, never written to. */
+  /** Displacements from rest in quanta, 3 for each node of the skin, car's frame. A newer surface is another array. */
   quanta: Int16Array = new Int16Array(0);
 
   #key: Int16Array = new Int16Array(0);
@@ -146,7 +149,7 @@ export class Surface {
     const newer = this.quanta.length === 0 || tick > this.tick;
     this.asset = asset;
     this.quantum = quantum;
-    if (!newer) return "old"; // of the very tick that deltas gave: the base of what follows
+    if (!newer) return "old"; // deltas gave the surface of this very tick; the next deltas are against this keyframe
     this.tick = tick;
     this.hash = hash;
     this.quanta = this.#key;
@@ -166,7 +169,7 @@ export class Surface {
     const parts = gathers(this.#deltaParts, tick, hash, size) ? this.#deltaParts : { tick, hash, quanta: this.#key.slice() };
     this.#deltaParts = parts;
     for (let i = 0, at = 3 * part.first; i < part.numbers.length; ++i, ++at)
-      parts.quanta[at] = this.#key[at] + part.numbers[i]; // an Int16Array wraps as the schema says
+      parts.quanta[at] = this.#key[at] + part.numbers[i]; // an Int16Array wraps around, as the schema says
     if (!complete(parts)) return "part";
     this.tick = tick;
     this.hash = hash;
@@ -176,7 +179,7 @@ export class Surface {
   }
 }
 
-// Vectors are read in place, so a message has to begin at a multiple of 8.
+// FlatBuffers reads vectors in place, so a message has to begin at a multiple of 8.
 function aligned(bytes: Uint8Array): Uint8Array {
   return bytes.byteOffset % 8 === 0 ? bytes : bytes.slice();
 }
@@ -209,7 +212,7 @@ export interface CarPose {
   car: string;
   pose: Pose;
   velocity: Vec3;
-  /** Tick of the last reaction that the pose contains. */
+  /** The tick of the last reaction that the pose contains. */
   seen: bigint;
 }
 
@@ -225,7 +228,7 @@ export function readPoses(bytes: Uint8Array): CarPose[] | null {
 export interface Reaction {
   car: string;
   tick: bigint;
-  /** Of the tick, N s, world. */
+  /** In this tick, N s, world. */
   impulse: Vec3;
   pose: Pose;
   velocity: Vec3;
@@ -234,7 +237,7 @@ export interface Reaction {
   contacts: number;
 }
 
-/** time: s, of the server's ticks */
+/** time: s, by the server's ticks */
 export function readReactions(bytes: Uint8Array): { tick: bigint; time: number; cars: Reaction[] } | null {
   return attempt(() => {
     const message = Reactions.getRootAsReactions(new ByteBuffer(bytes));
@@ -252,7 +255,7 @@ export interface Obstacle {
   shape: Shape;
   /** box: half extents; sphere: radius; capsule: radius, half the length of its axis (local z). */
   size: Vec3;
-  /** hull: m, local */
+  /** Of a hull: m, in its own frame. */
   points: Vec3[];
   pose: Pose;
   velocity: Vec3;
@@ -281,9 +284,9 @@ export interface Health {
   tick: number;
   /** Ticks a second. */
   rate: number;
-  /** Ticks that could not start in time. */
+  /** How many ticks began late. */
   late: number;
-  /** ms a tick over the last second, mean and worst; "tick" is the whole. */
+  /** What the parts of a tick took in the last second, ms: mean and worst; the room "tick" is all of it. */
   rooms: { name: string; mean: number; worst: number }[];
   counts: Count[];
   refusals: Count[];

@@ -1,5 +1,5 @@
-// A recording (MCAP, as `crumple serve --record` writes it) as a scene that can be put to any moment. Nothing but the file is needed:
-// its baked cars are attachments, or messages where they came later. One that was cut off is read as far as it is whole.
+// Shows a recording (MCAP, as `crumple serve --record` writes it) as a scene at any moment. It needs nothing but the file, which has
+// the baked cars as attachments, or as messages if they came later. It reads a file that was cut off as far as that is whole.
 import { McapStreamReader } from "@mcap/core";
 import { decompress as fromZstd } from "fzstd";
 import { decompress as fromLz4 } from "lz4js";
@@ -12,11 +12,11 @@ import { Order } from "./crumple/schema/order.js";
 import { digits, hashOf, readReactions } from "./decode.js";
 import { Scene, type Entry } from "./scene.js";
 
-/** s without a contact until the next one is another hit; as the gateway has it. */
+/** s without a contact after which the next contact is another hit; the gateway has the same. */
 const hitEnds = 1;
 const shown = /^(health|host\/[^/]+\/(poses|obstacles)|car\/[^/]+\/(key|delta)\/0)$/;
 
-/** When a car lived, s. */
+/** From when to when a car lived, s. */
 interface Life {
   id: string;
   from: number;
@@ -30,17 +30,17 @@ interface Told {
 }
 
 export class Film extends Scene {
-  /** s, of its ticks: a late one takes no longer than any other. */
+  /** s, counted in ticks: a late tick counts like any other. */
   duration = 0;
-  /** Where it stands, s. */
+  /** The moment that it shows, s. */
   time = 0;
-  /** Of the first tick in which a car touched something, s; null: none did. */
+  /** The time of the first tick in which a car touched something, s; null: none did. */
   firstContact: number | null = null;
 
   #told = new Map<string, Told[]>(); // by key, in order of time
-  #taken = new Map<string, Told>(); // by key: what the scene has
+  #taken = new Map<string, Told>(); // by key: the message that the scene has
   #lives: Life[] = [];
-  #peaks = new Map<string, { impulse: number; time: number }>(); // by car: of its last hit, and when its last contact was
+  #peaks = new Map<string, { impulse: number; time: number }>(); // by car: greatest impulse of its last hit, time of its last contact
   #despawning = ""; // the key of a Command whose Answer has not come
   #showing = 0;
 
@@ -48,10 +48,10 @@ export class Film extends Scene {
     return 1000 * this.time;
   }
 
-  /** Throws an Error with a sentence where the bytes are no recording. */
+  /** Throws an Error with a sentence if the bytes are no recording. */
   static read(bytes: Uint8Array): Film {
     const film = new Film();
-    // A server writes LZ4; other programs that write a recording anew, zstd.
+    // A server compresses by LZ4; programs that write a recording anew often compress by zstd.
     const decompressHandlers = { lz4: (data: Uint8Array, size: bigint) => fromLz4(data, Number(size)), zstd: (data: Uint8Array) => fromZstd(data) };
     const reader = new McapStreamReader({ decompressHandlers });
     const topics = new Map<number, string>();
@@ -73,10 +73,10 @@ export class Film extends Scene {
     return film;
   }
 
-  /** To this moment, s. Forwards or backwards. */
+  /** Goes to this moment, s, forwards or backwards. */
   seek(time: number): void {
     if (time < this.time) {
-      ++this.#showing; // another showing has other cars
+      ++this.#showing; // so that the cars of this showing are other ones
       this.#taken.clear();
       this.obstacles.clear();
       this.health = null;
@@ -90,7 +90,7 @@ export class Film extends Scene {
       const last = since === undefined ? undefined : all[after(all, this.time) - 1];
       if (!last || last.time < since! || this.#taken.get(key) === last) continue;
       this.#taken.set(key, last);
-      // of a surface, all its parts: told at one time
+      // a surface may have several parts, which have the same time
       for (let i = after(all, this.time) - 1; i >= 0 && all[i].time === last.time; --i)
         entries.push({ key, at: 1000 * last.time, payload: all[i].payload });
     }
@@ -113,7 +113,7 @@ export class Film extends Scene {
     if (what === "key" && !lives) this.#lives.push({ id, from: told.time, to: Infinity });
   }
 
-  // One that the server refused is none here either.
+  // A car that the server refused does not read here either.
   #tellAsset(payload: Uint8Array): void {
     try {
       const car = Asset.getRootAsAsset(new ByteBuffer(payload)).carArray()!.slice(), asset = digits(hashOf(car));
@@ -146,7 +146,7 @@ export class Film extends Scene {
   }
 }
 
-/** How many of them were told up to this time. */
+/** How many of these messages came up to this time. */
 function after(all: Told[], time: number): number {
   let low = 0, high = all.length;
   while (low < high) {

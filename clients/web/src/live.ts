@@ -1,16 +1,16 @@
-// A connection to `crumple view`: one WebSocket, on which the scene is brought up to what it is now, again and again. A message is a
-// batch of entries:
+// A connection to `crumple view`: one WebSocket, by which the gateway brings the scene up to date again and again. A message is a batch
+// of entries:
 //
 //   u16 size of the key, u32 size of the payload, u32 its age in ms, the key, the payload      (little endian)
 //
-// The gateway skips what is outdated before it could be sent, and goes on when a batch was answered, with an empty message: so a page
-// that was frozen finds the present, not its past.
+// The page answers a batch with an empty message, and then the gateway sends the next one. It skips entries that are outdated by then,
+// so a page that was frozen gets the present and not its past.
 import { readCar } from "./baked.js";
 import { Scene, type Entry } from "./scene.js";
 
-/** ms, after a lost connection; doubled up to the last. */
+/** ms until a lost connection is tried again; each failure doubles it, up to the last. */
 const firstRetry = 250, lastRetry = 4000;
-/** ms until an asset that was not there yet is asked for again. */
+/** ms until the page asks again for an asset that the gateway did not have. */
 const assetRetry = 100;
 
 export type Link = "connecting" | "live" | "lost";
@@ -18,7 +18,7 @@ export type Link = "connecting" | "live" | "lost";
 export class Live extends Scene {
   link: Link = "connecting";
   received = { batches: 0, bytes: 0 };
-  /** Assets that could not be shown: a sentence each. */
+  /** By asset that cannot be shown: a sentence that says why. */
   trouble = new Map<string, string>();
 
   #url: URL;
@@ -67,7 +67,7 @@ export class Live extends Scene {
     for (let at = 0; at < batch.length; ) {
       const keySize = view.getUint16(at, true), size = view.getUint32(at + 2, true), age = view.getUint32(at + 6, true);
       const from = at + 10 + keySize;
-      // a copy, so that it begins where its fields are aligned
+      // a copy, so that its fields are aligned
       entries.push({ key: text.decode(batch.subarray(at + 10, from)), at: now - age, payload: batch.slice(from, from + size) });
       at = from + size;
     }

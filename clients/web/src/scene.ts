@@ -1,43 +1,43 @@
-// What a viewer knows of a scene: brought up to date entry by entry, each of which replaces the one before it under its key. Keys are
-// those of zenoh below the scene's root, with the bytes that zenoh carries, and three more:
+// Holds what a viewer knows of a scene. Entries bring it up to date; each replaces the entry before it under its key. Keys and bytes are
+// those of zenoh, below the scene's root, and there are three more keys:
 //
-//   alive             text, what zenoh's liveliness tokens say, a line each: "server", "car ID LIFE"; another LIFE is another car
-//   car/ID/reactions  Reactions, of which this car's counts: the last
-//   car/ID/peak       the same: the strongest of the last hit
+//   alive             text, a line for each of zenoh's liveliness tokens: "server", "car ID LIFE"; another LIFE means another car
+//   car/ID/reactions  Reactions, of which only this car's counts: the last reaction of the car
+//   car/ID/peak       Reactions likewise: the strongest reaction of the last hit
 import type { BakedCar } from "./baked.js";
 import { readHealth, readObstacles, readPoses, readReactions, Surface } from "./decode.js";
 import type { Health, Obstacle, Pose, Reaction, Vec3 } from "./decode.js";
 
-/** Deltas that "bits per vertex and frame" is the mean of. */
+/** How many deltas "bits per vertex and frame" is the mean of. */
 const rated = 60;
-/** ms for which the pose of a contact stands against that of a host that follows a script. */
+/** ms for which the pose of a contact counts more than the pose of a host that follows a script. */
 const contactHolds = 250;
 
 export class LiveCar {
   surface = new Surface();
-  /** null: the asset has not arrived. Another one when the car was painted anew. */
+  /** null: the asset has not come yet. After the car was painted anew it is another one. */
   baked: BakedCar | null = null;
-  /** null: neither its host nor a reaction has told it yet. */
+  /** null: neither its host nor a reaction has given one yet. */
   pose: Pose | null = null;
   velocity: Vec3 = [0, 0, 0];
-  /** The last one with contact or impulse, and when it came. */
+  /** The last reaction with contact or impulse, and when it came. */
   hit: Reaction | null = null;
   hitAt = 0;
-  /** Of the last hit that with the greatest impulse. */
+  /** The reaction of the last hit with the greatest impulse, and when it came. */
   peak: Reaction | null = null;
   peakAt = 0;
   /** J since spawn. */
   absorbed = 0;
-  /** When the last message about it came. */
+  /** When the last message about the car came. */
   heardAt = 0;
-  /** Counts up with every surface held whole. */
+  /** Counts the surfaces of which every part has come. */
   version = 0;
   refused = 0;
   #sizes: number[] = []; // bytes of the last deltas
 
   constructor(readonly id: string, public life: string) {}
 
-  /** Of the last deltas, at this page; 0: none yet. */
+  /** Mean of the last deltas that came to this page; 0: none yet. */
   get bitsPerVertex(): number {
     const vertices = this.baked ? this.baked.vertex.length / 3 : 0;
     if (!vertices || !this.#sizes.length) return 0;
@@ -53,7 +53,7 @@ export class LiveCar {
     this.heardAt = Math.max(this.heardAt, at);
   }
 
-  /** @internal What the server reached in a contact stands until a pose of the host contains it. */
+  /** @internal The pose that the server reached in a contact counts until a pose of the host contains it. */
   takeReaction(reaction: Reaction, at: number): void {
     this.heardAt = Math.max(this.heardAt, at);
     this.absorbed = reaction.absorbed;
@@ -76,13 +76,13 @@ export class LiveCar {
 
 export interface HostObstacles {
   list: Obstacle[];
-  /** When their list came: those with a velocity move on since then. */
+  /** When the list came. Since then obstacles that have a velocity move on. */
   at: number;
 }
 
 export interface Entry {
   key: string;
-  /** When it was told, by the scene's clock. */
+  /** When the message was sent, by the scene's clock, ms. */
   at: number;
   payload: Uint8Array;
 }
@@ -95,31 +95,31 @@ export class Scene {
   obstacles = new Map<string, HostObstacles>();
   health: Health | null = null;
   healthAt = 0;
-  /** Counts up with every batch of entries. */
+  /** Counts batches of entries and assets that came. */
   version = 0;
   /** Baked cars, by hash. */
   assets = new Map<string, BakedCar>();
 
-  /** The scene's clock, ms. */
+  /** The time now by the scene's clock, ms. */
   now(): number {
     return performance.now();
   }
 
   take(entries: Entry[]): void {
     ++this.version;
-    // Whose messages the others are, before those.
+    // The tokens come first, because they say which cars the other messages belong to.
     for (const { key, payload } of entries) if (key === "alive") this.#takeAlive(new TextDecoder().decode(payload));
     for (const { key, payload, at } of entries) this.#takeEntry(key.split("/"), payload, at);
   }
 
-  /** The baked car that `want` named. */
+  /** Takes the baked car that `want` asked for. */
   give(asset: string, baked: BakedCar): void {
     this.assets.set(asset, baked);
     ++this.version;
     for (const car of this.cars.values()) if (car.surface.asset === asset) car.baked = baked;
   }
 
-  /** Called for every message of a car without its baked car. */
+  /** The scene calls this for every message of a car whose baked car is missing. */
   protected want(_asset: string): void {}
 
   #takeAlive(lines: string): void {

@@ -1,23 +1,23 @@
-// A car of crumple as an object of three.js: made once from the baked car, then brought up to its surface as often as that changes.
-// Its axes are the car's: x forward, y left, z up, metres.
+// Makes an object of three.js from a baked car, and brings it up to a surface as often as that changes. The axes are the car's:
+// x forward, y left, z up, metres.
 import * as THREE from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
 import { skin, strain, type BakedCar } from "./baked.js";
 import { Shape, type Obstacle } from "./decode.js";
 
-/** Edges at rest sharper than this stay sharp: doors, windows, wheel arches. */
+/** Edges that are sharper than this at rest stay sharp: doors, windows, wheel arches. */
 const crease = Math.cos((32 * Math.PI) / 180);
 
 export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
-  /** Displaced vertices as the skin has them, and how far each has moved, m. */
+  /** Positions of the vertices as the skin has them, and how far each has moved, m. */
   readonly skinned: Float32Array;
   readonly moved: Float32Array;
-  /** Of the vertex that moved most, m. */
+  /** How far the vertex has moved that moved most, m. */
   deepest = 0;
-  /** How often it was brought up to a surface. */
+  /** How often `update` took a surface. */
   updates = 0;
-  #triangle: Uint32Array; // in corners: a vertex, once for each side of a crease
-  #vertexOf: Uint32Array; // of a corner
+  #triangle: Uint32Array; // 3 corners each; a vertex has one corner on each side of a crease
+  #vertexOf: Uint32Array; // the vertex of each corner
   #strain: Float32Array | null = null;
   #radius: number; // of the bounding sphere at rest, m
 
@@ -40,7 +40,7 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
     this.update({ quanta: new Int16Array(3 * baked.nodes), quantum: 1 });
   }
 
-  /** False: the surface is not of this car. Normals follow it; what is a crease was decided at rest. */
+  /** Takes a surface. Normals follow it; creases are those of the surface at rest. False: the surface is not of this car. */
   update(surface: { quanta: Int16Array; quantum: number }): boolean {
     if (!skin(this.baked, surface, this.skinned)) return false;
     ++this.updates;
@@ -65,14 +65,14 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
     return true;
   }
 
-  /** Of each vertex (`strain` in baked.ts); found when asked for. */
+  /** Computes the strain of each vertex (`strain` in baked.ts). */
   strain(): Float32Array {
     this.#strain ??= new Float32Array(this.moved.length);
     strain(this.baked, this.skinned, this.#strain);
     return this.#strain;
   }
 
-  /** Vertex colours by a value each, like `moved`: for a material with vertexColors. `most` has the last colour. */
+  /** Colours vertices by their values, such as `moved`, for a material with vertexColors. The value `most` has the last colour. */
   paint(colours: readonly THREE.Color[], most: number, values = this.moved): void {
     const { color } = this.geometry.attributes;
     for (let c = 0; c < this.#vertexOf.length; ++c) {
@@ -87,7 +87,7 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
 
 const mixed = new THREE.Color();
 
-// Normals of the corners, each the sum over its triangles by their area; the shader makes them unit vectors.
+// Makes the normal of each corner as the sum over its triangles by their area. The shader makes it a unit vector.
 function sumNormals(at: Float32Array, triangle: Uint32Array, normal: Float32Array): void {
   normal.fill(0);
   for (let t = 0; t < triangle.length; t += 3) {
@@ -107,7 +107,7 @@ function sumNormals(at: Float32Array, triangle: Uint32Array, normal: Float32Arra
   }
 }
 
-// A vertex becomes one corner for each smooth fan of triangles around it: triangles that share an edge of it at a small angle.
+// Makes one corner of a vertex for each smooth fan of triangles around it. Triangles of a fan share edges at small angles.
 function splitAtCreases(car: BakedCar): { triangle: Uint32Array<ArrayBuffer>; vertexOf: Uint32Array } {
   const count = car.triangle.length / 3;
   const faces = Array.from({ length: count }, (_, t) => faceNormal(car, t));
@@ -115,7 +115,7 @@ function splitAtCreases(car: BakedCar): { triangle: Uint32Array<ArrayBuffer>; ve
   car.triangle.forEach((v, i) => around[v].push(i));
   const triangle = new Uint32Array(car.triangle.length), vertexOf: number[] = [];
   around.forEach((corners, v) => {
-    const fan = corners.map((_, i) => i); // union of those that are smooth; few a vertex
+    const fan = corners.map((_, i) => i); // union-find of those that are smooth; a vertex has few
     const root = (i: number): number => (fan[i] === i ? i : root(fan[i]));
     for (let i = 0; i < corners.length; ++i)
       for (let j = 0; j < i; ++j) {
@@ -143,7 +143,7 @@ function faceNormal(car: BakedCar, t: number): THREE.Vector3 {
   return b.sub(a).cross(c.sub(a)).normalize();
 }
 
-/** Of an obstacle, in its own frame; null for a half space, which has no end. */
+/** Makes the geometry of an obstacle in its own frame; null: of a half space, which has no end. */
 export function obstacleGeometry(obstacle: Obstacle): THREE.BufferGeometry | null {
   const [x, y, z] = obstacle.size;
   switch (obstacle.shape) {
@@ -152,7 +152,7 @@ export function obstacleGeometry(obstacle: Obstacle): THREE.BufferGeometry | nul
     case Shape.sphere:
       return new THREE.SphereGeometry(x, 48, 24);
     case Shape.capsule:
-      return new THREE.CapsuleGeometry(x, 2 * y, 12, 32).rotateX(Math.PI / 2); // three's axis is y
+      return new THREE.CapsuleGeometry(x, 2 * y, 12, 32).rotateX(Math.PI / 2); // the axis of three's capsule is y
     case Shape.hull:
       return obstacle.points.length < 4 ? null : hull(obstacle.points);
     default:

@@ -1,4 +1,5 @@
-"""Hosts, viewers and recordings of crumple, the server that owns the dents of cars. README.md begins with a whole example."""
+"""For hosts, viewers and recordings of crumple, the server that owns the dents of cars. README.md begins with a whole
+program."""
 
 from crumple._convert import columns
 from crumple._library import Error, Refused

@@ -1,4 +1,4 @@
-"""To and from the structs of crumple_client.h."""
+"""Converts to and from the structs of crumple_client.h."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def c_parameters(parameters: Parameters) -> Any:
     return to
 
 
-# A CrumpleReaction in memory; `car` is where its name stands.
+# A CrumpleReaction as it lies in memory; `car` is the address of its name.
 _struct = ffi.typeof("CrumpleReaction")
 _formats = {"car": np.dtype("u8"), "tick": np.dtype("u8"), "time": np.dtype("f8"), "contacts": np.dtype("u4"),
             "energy_absorbed": np.dtype("f8"), "energy_stored": np.dtype("f8"), "deepest": np.dtype("f4")}
@@ -59,14 +59,14 @@ C_REACTION = np.dtype({
     "offsets": [at.offset for _, at in _struct.fields],
     "itemsize": ffi.sizeof(_struct),
 })
-"""Reactions as one array, a field for each of Reaction's; rows[["impulse", ...]] or columns(rows) for tables."""
+# Reactions as one array, with the fields of Reaction: rows[["impulse", ...]], or columns(rows) for tables.
 REACTION = np.dtype([("tick", "u8"), ("time", "f8"), ("car", "U32"), ("position", "f8", 3), ("orientation", "f4", 4)] + [
     (name, "f4", 3) for name in ("velocity", "angular_velocity", "impulse", "angular_impulse")
 ] + [("energy_absorbed", "f8"), ("energy_stored", "f8"), ("deepest", "f4"), ("contacts", "u4")])
 
 
 def reaction_rows(taken: Any, count: int) -> NDArray[np.void]:
-    """`taken`: CrumpleReaction[], of which `count` are there."""
+    """`taken`: CrumpleReaction[], of which the first `count` are filled."""
     raw = np.frombuffer(ffi.buffer(taken, count * ffi.sizeof(_struct)), C_REACTION)
     rows = np.zeros(count, REACTION)
     for name in REACTION.names or ():
@@ -93,7 +93,7 @@ def reaction_of(row: Any) -> Reaction:
 
 
 def columns(rows: NDArray[np.void]) -> dict[str, NDArray[Any]]:
-    """One-dimensional columns, impulse_x and so on: what pandas.DataFrame takes."""
+    """Gives one-dimensional columns (impulse_x and so on), which pandas.DataFrame takes."""
     table: dict[str, NDArray[Any]] = {}
     for name in rows.dtype.names or ():
         if rows[name].ndim == 1:

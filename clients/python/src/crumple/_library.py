@@ -1,4 +1,4 @@
-"""The client library. Its header, which lies beside it, is the only declaration: cffi reads it."""
+"""The client library. cffi reads its header, which lies beside it and is the only declaration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from cffi import FFI
 
 _folder = pathlib.Path(__file__).parent
-# Of the preprocessor cffi knows plain numbers only, and of C++ nothing.
+# cffi knows no C++, and of the preprocessor only plain numbers.
 _no_c = r'^#(?!define CRUMPLE_CLIENT_VERSION).*$|^extern "C" \{$|^\}$'
 
 ffi: Any = FFI()
@@ -17,11 +17,11 @@ ffi.cdef(re.sub(_no_c, "", (_folder / "crumple_client.h").read_text(), flags=re.
 lib: Any = ffi.dlopen(str(_folder / "libcrumple_client.so"))
 
 class Error(Exception):
-    """What the client library says went wrong, and what to do."""
+    """The library's sentence: what went wrong, and what to do."""
 
 
 class Refused(Error):
-    """The server's own sentence: why it did not do what it was asked for."""
+    """The server's sentence: why it refused a command."""
 
 
 def check(status: int) -> int:

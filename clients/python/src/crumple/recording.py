@@ -1,4 +1,5 @@
-"""Recordings: MCAP files that `crumple serve --record` wrote. Messages go through the same client library as live ones."""
+"""Reads recordings: MCAP files of `crumple serve --record`. The client library decodes their messages as it decodes live
+ones."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ FRAME = ("/key/0", "/delta/0", "/reactions", "health", "tick")  # ends of keys
 
 @dataclass(frozen=True)
 class Life:
-    """A car from its spawn to its despawn (None: it lived to the end)."""
+    """A car from its spawn to its despawn. despawned is None: the car lived to the end."""
 
     car: str
     asset: str
@@ -41,7 +42,7 @@ class Life:
     spawned: int  # ticks
     despawned: int | None = None
     mass: float = 0.0  # kg; 0: the baked car's
-    pose: Pose = Pose()  # at first
+    pose: Pose = Pose()  # of its spawn
 
 
 class Frame(View):
@@ -53,12 +54,12 @@ class Frame(View):
         check(lib.crumple_follow(self._handle, ffi.NULL, 0))
         self.tick = tick
         self._recording = recording
-        self._from = tick  # where the cars are sought when they are first asked for
+        self._from = tick  # the tick at which a car is looked up when it is first asked for
         self._sought: set[str] = set()
 
     @property
     def time(self) -> float:
-        """Of the server's ticks, s."""
+        """s, by the server's ticks."""
         return self.tick / self._recording.rate
 
     def cars(self) -> list[str]:
@@ -75,7 +76,7 @@ class Frame(View):
             self.add_asset(self._recording.assets[asset])
         elif asset not in self._meshes:
             for car in self._recording.given:
-                with contextlib.suppress(Error):  # the server refused it too
+                with contextlib.suppress(Error):  # the server refused this car too
                     self.add_asset(car)
         return super()._mesh(asset)
 
@@ -91,7 +92,7 @@ class Frame(View):
 
 
 class Recording:
-    """A recording as a context manager. Times are seconds of the server's ticks, as in Reaction.time."""
+    """A recording, which is a context manager. Times are seconds by the server's ticks, as in Reaction.time."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._file = open(path, "rb")
@@ -119,17 +120,17 @@ class Recording:
 
     @cached_property
     def assets(self) -> dict[str, bytes]:
-        """The baked cars by hash."""
+        """The baked cars that the server began with, by hash."""
         return {each.name: each.data for each in self._reader.iter_attachments() if each.media_type.endswith(".car")}
 
     @cached_property
     def given(self) -> list[bytes]:
-        """The baked cars that came later, by messages."""
+        """The baked cars that came later, in messages."""
         return [Asset.GetRootAs(data).CarAsNumpy().tobytes() for _, _, _, data in self._messages("asset".__eq__)]
 
     @cached_property
     def _ticks(self) -> NDArray[np.uint64]:
-        """Rows of tick and log time (ns) of its end."""
+        """A row for each tick: its number, and the log time of its end, ns."""
         rows = [(tick, at) for tick, at, _, _ in self._messages(lambda key: key == "tick")]
         if not rows:
             raise Error(f"{self._file.name}: not one whole tick was recorded")
@@ -144,7 +145,8 @@ class Recording:
         return float(self._ticks[-1, 0]) / self.rate
 
     def messages(self, key: str | None = None) -> Iterator[tuple[int, str, bytes]]:
-        """Tick, key below crumple/1/{scene}/ and bytes (crumple.schema reads them) of all messages, or of those with one key."""
+        """Gives tick, key below crumple/1/{scene}/ and bytes of all messages, or of those with this key. crumple.schema reads
+        the bytes."""
         for tick, _, below, data in self._messages(lambda topic: key in (None, topic)):
             yield tick, below, data
 
@@ -156,7 +158,7 @@ class Recording:
             yield message.sequence, message.log_time, channel.topic.removeprefix(self._root), message.data
 
     def _tick_at(self, time: float) -> int:
-        """The last one that had ended then."""
+        """The last tick that had ended then."""
         ticks = self._ticks[:, 0]
         return int(ticks[max(0, int(np.searchsorted(ticks, time * self.rate + 1e-6, side="right")) - 1)])
 
@@ -164,7 +166,7 @@ class Recording:
         return int(self._ticks[np.searchsorted(self._ticks[:, 0], tick), 1])
 
     def _last_surface(self, car: str, tick: int) -> list[tuple[str, bytes]]:
-        """What gives the surface after a tick: the last keyframe, and the last delta against it."""
+        """Gives what makes the surface after a tick: the last keyframe, and the last delta against it."""
         found: list[tuple[str, bytes]] = []
         key_tick = 0
         for kind in ("key", "delta"):
@@ -181,11 +183,12 @@ class Recording:
         return found
 
     def at(self, time: float) -> Frame:
-        """The cars after the last tick that had ended then, or after the first. Each is sought in the file when first asked for."""
+        """Gives the cars after the last tick that had ended then, or after the first. The file is searched for a car when that
+        is first asked for."""
         return Frame(self, self._tick_at(time))
 
     def frames(self, start: float = 0.0, end: float = float("inf")) -> Iterator[Frame]:
-        """Every tick, in one Frame that goes on, with its reactions() and health()."""
+        """Gives one Frame again after every tick, with its reactions() and health()."""
         frame = self.at(max(start, self.start))
         frame.cars()
         yield frame
@@ -200,7 +203,8 @@ class Recording:
                 frame._feed(self._root + key, data)
 
     def reactions(self, start: float = 0.0, end: float = float("inf")) -> NDArray[np.void]:
-        """All of a time as one structured array: rows["impulse"] is n x 3; columns(rows) is for pandas.DataFrame."""
+        """Gives all reactions of a time as one structured array: rows["impulse"] is n x 3. columns(rows) gives what
+        pandas.DataFrame takes."""
         found = [np.zeros(0, REACTION)]
         with Frame(self, 0) as frame:
             for tick, _, key, data in self._messages(lambda key: key.endswith("/reactions")):
@@ -210,7 +214,7 @@ class Recording:
         return np.concatenate(found)
 
     def obstacles(self, time: float = float("inf")) -> dict[str, list[Obstacle]]:
-        """By host: its list at a time."""
+        """Gives the list of each host at a time."""
         lists: dict[str, list[Obstacle]] = {}
         last = self._tick_at(time)
         for tick, _, key, data in self._messages(lambda key: key.endswith("/obstacles")):
@@ -220,7 +224,8 @@ class Recording:
         return lists
 
     def poses(self, start: float = 0.0, end: float = float("inf")) -> dict[str, dict[int, Pose]]:
-        """By car and tick, where something is known: its spawn, its host's intent, and before that what a reaction made of it."""
+        """Gives poses by car and tick, as far as the recording has them: of the spawn, of the host, and where there is a
+        reaction, of that."""
         known: dict[str, dict[int, Pose]] = {}
         for life in self.lives:
             known.setdefault(life.car, {})[life.spawned] = life.pose
@@ -241,9 +246,9 @@ class Recording:
 
     @cached_property
     def lives(self) -> list[Life]:
-        """Who was there, and when."""
+        """Which cars were there, and when."""
         lives: list[Life] = []
-        asked: dict[str, bytes] = {}  # not read yet: one that the server refused may be anything
+        asked: dict[str, bytes] = {}  # not read yet, because a command that the server refused may be anything
         commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
         for tick, _, key, data in commands:
             car = key.split("/")[1]
@@ -264,7 +269,7 @@ class Recording:
         return lives
 
     def _lives(self, car: str, tick: int) -> bool:
-        """Unless it was despawned, and not spawned again: a recording may begin with cars that live."""
+        """Whether the car was not despawned, or was spawned again. A recording may begin with cars that live."""
         last = [life for life in self.lives if life.car == car and life.spawned <= tick]
         return not last or last[-1].despawned is None or tick < last[-1].despawned
 

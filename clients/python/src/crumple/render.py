@@ -1,4 +1,4 @@
-"""`crumple render`: a recording as an animation, a contact sheet and charts. Out, into the folder:
+"""`crumple render` draws a recording: an animation, a contact sheet and charts. It writes into the folder:
   animation.webp      the crash in slow motion, again and again; below 1 MB if it is short
   contact_sheet.jpg   its moments, close together where the car gives way
   reactions.png       deceleration, energy absorbed, deepest dent and contacts over time
@@ -35,16 +35,16 @@ from crumple.types import Obstacle, Pose, Shape
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-# Okabe and Ito's colours, which nearly everybody tells apart; first as paint in the light, then on white.
+# Okabe and Ito's colours, which nearly everybody can tell apart: PAINT in the light, INK on white.
 PAINT = [(0.74, 0.24, 0.05), (0.06, 0.36, 0.62), (0.05, 0.50, 0.38), (0.80, 0.50, 0.10)]
 INK = ["#D55E00", "#0072B2", "#009E73", "#B07700"]
 CONCRETE, STEEL = (0.62, 0.61, 0.58), (0.86, 0.72, 0.16)
-BEFORE, AFTER = 0.25, 0.6  # s around what a clip is about
-GAP = 1.2  # s without a dent: two clips
+BEFORE, AFTER = 0.25, 0.6  # s that a clip shows before and after its dents
+GAP = 1.2  # s without a dent, after which another clip begins
 MOST_CLIPS = 4
 VIEW = 20.0  # degrees from bottom to top
 MOST_BYTES = 1_000_000
-MOST_FRAMES = 1000  # all are held in memory
+MOST_FRAMES = 1000  # because all are held in memory
 STANDARD_GRAVITY = 9.80665  # m/s^2
 
 
@@ -52,14 +52,14 @@ STANDARD_GRAVITY = 9.80665  # m/s^2
 class Clip:
     start: float  # s
     end: float
-    first: float  # of the first contact: its time 0
-    last: float  # after it nothing dents
-    cars: list[str]  # that are hit, or that there are: others are not drawn
+    first: float  # s, of the first contact, from which captions count
+    last: float  # s, of the last dent
+    cars: list[str]  # those that are hit, or all if none is; the clip draws no others
 
 
 @dataclass
 class Moment:
-    """What is drawn, in the world."""
+    """What one picture shows, in the frame of the world."""
 
     time: float
     vertex: dict[str, Array]  # by car
@@ -97,7 +97,7 @@ def find_clips(recording: Recording, rows: Array, options: argparse.Namespace) -
         inside = touched[(touched["time"] >= start) & (touched["time"] <= end)]
         first = float(inside["time"][0]) if len(inside) else start
         return [Clip(start, end, first, end, hit(inside) or everybody)]
-    denting = []  # (time, J) of the ticks in which some car took what can be seen
+    denting = []  # (time, J) of the ticks in which a car took enough to be seen
     for car in hit(touched):
         mine = rows[rows["car"] == car]
         taken = np.maximum(np.diff(mine["energy_absorbed"], prepend=0.0), 0)
@@ -185,7 +185,8 @@ def capsule(radius: float, low: float, high: float) -> tuple[Array, Array]:
 
 
 def hull(points: Array) -> tuple[Array, Array]:
-    """Every three points with all others on one side; of many points those that are outermost in some of 200 directions."""
+    """Makes triangles of every three points that have all others on one side. Of many points it takes those that are outermost
+    in one of 200 directions."""
     i = np.arange(200)
     z, turn = 1 - (2 * i + 1) / 200, 2.4 * i
     toward = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
@@ -199,7 +200,8 @@ def hull(points: Array) -> tuple[Array, Array]:
 
 
 def obstacle_mesh(obstacle: Obstacle, low: Array, high: Array) -> Mesh | None:
-    """Cut to this box in the world, as far as its own axes let it be: a wall of twenty metres would hide more than it shows."""
+    """Cuts the obstacle to this box in the world, as far as its own axes allow: a wall of twenty metres would hide more than it
+    shows."""
     turn, place = matrix(obstacle.pose.orientation), np.array(obstacle.pose.position)
     corner = (box(low, high)[0] - place) @ turn
     low, high = corner.min(0), corner.max(0)
@@ -217,7 +219,7 @@ def obstacle_mesh(obstacle: Obstacle, low: Array, high: Array) -> Mesh | None:
         vertex, triangle = hull(np.array(obstacle.points))
         if (vertex.min(0) > high).any() or (vertex.max(0) < low).any():
             return None
-    elif turn[2, 2] < 0.999:  # a half space; a level one is the ground
+    elif turn[2, 2] < 0.999:  # a half space that is not level; a level one is the ground
         vertex, triangle = box(np.append(low[:2], -0.1), np.append(high[:2], 0.0))
     else:
         return None
@@ -226,7 +228,7 @@ def obstacle_mesh(obstacle: Obstacle, low: Array, high: Array) -> Mesh | None:
 
 
 class Stage:
-    """A clip's scene at any moment, and where it is seen from."""
+    """Makes the scene of a clip at any moment, and has the camera that sees it."""
 
     def __init__(self, film: Film, paint: dict[str, tuple[float, float, float]], width: int, height: int) -> None:
         self.film, self.paint = film, paint
@@ -248,13 +250,14 @@ class Stage:
         return Scene(cars + found, self.ground)
 
     def bare(self) -> Stage:
-        """Without the moments: what another process needs of it."""
+        """Gives a stage without moments: another process needs no more."""
         stage = copy.copy(self)
         stage.film = Film(self.film.clip, [], self.film.triangle)
         return stage
 
     def _best_camera(self, moments: list[Moment], points: Array, width: int, height: int) -> Camera:
-        """Of many around it the one that sees most of what dents, when it is deepest and at the end, and sees it large."""
+        """Gives that camera of many around the scene which sees most of the dents, and sees them large, when they are deepest
+        and at the end."""
         judged = []
         for moment in moments:
             vertex = np.concatenate(list(moment.vertex.values()))
@@ -272,7 +275,7 @@ class Stage:
                     lit = scene.reached(vertex[seen] + 0.02 * camera.sun, camera.sun)
                     shares.append(float((worth[seen] * (0.7 + 0.3 * lit)).sum() / worth.sum()))
                 away = float(np.linalg.norm(camera.eye - points.mean(0)))
-                share = (2 * min(shares) + sum(shares)) * (0.9 if rise < 0.2 else 1.0) / away**0.5  # so low only if much is won
+                share = (2 * min(shares) + sum(shares)) * (0.9 if rise < 0.2 else 1.0) / away**0.5  # low only if much is won
                 if share > best:
                     best, found = share, camera
         assert found
@@ -280,7 +283,7 @@ class Stage:
 
 
 def framed(toward: Array, points: Array, width: int, height: int, sun: float) -> Camera:
-    """A camera in this direction from the points, as near as lets it see them all."""
+    """Gives a camera in this direction from the points, as near as it can be and still see them all."""
     toward = toward / np.linalg.norm(toward)
     right = np.cross(-toward, [0, 0, 1])
     right /= np.linalg.norm(right)
@@ -321,7 +324,7 @@ def gees(rows: Array, mass: float, rate: float) -> Array:
 
 
 def write_on(picture: Image.Image, place: tuple[float, float], text: str, size: float, most: float, anchor: str = "la") -> None:
-    """As large as `size`, smaller where it would be wider than `most`."""
+    """Writes as large as `size`, or smaller if the text would be wider than `most`."""
     pen = ImageDraw.Draw(picture)
     font = ImageFont.load_default(size)
     font = ImageFont.load_default(size * min(1.0, most / max(pen.textlength(text, font), 1.0)))
@@ -341,8 +344,8 @@ def labelled(image: Array, caption: str, credits: str) -> Image.Image:
 
 
 def write_animation(path: pathlib.Path, pictures: list[Image.Image], fps: float, ends: set[int]) -> None:
-    """Each clip stays for a second at its end. Every frame is whole (kmax): what changes from one to the next, coded alone, leaves
-    blocks on the ground, and is no smaller by more than a fifth."""
+    """Each clip stays for a second at its end. Every frame is coded whole (kmax=1): if only the changes from one frame to the
+    next are coded, blocks stay on the ground, and the file gets smaller by a fifth at most."""
     at = np.round(1000 / fps * np.arange(len(pictures) + 1)).astype(int)
     lasts = [int(b - a) + (1000 if i in ends else 0) for i, (a, b) in enumerate(zip(at, at[1:]))]
     for quality in (75, 60, 45, 30):
@@ -352,7 +355,7 @@ def write_animation(path: pathlib.Path, pictures: list[Image.Image], fps: float,
 
 
 def sheet_moments(film: Film, count: int) -> list[int]:
-    """Half by time, half by how the dent grows: close together where the car gives way."""
+    """Chooses moments half by time and half by how the dent grows, so that they are close together while the car gives way."""
     times = np.array([m.time for m in film.moments])
     dents = np.array([max((float(d.max()) for d in m.dent.values()), default=0.0) for m in film.moments])
     def share(values: Array) -> Array:
@@ -403,7 +406,7 @@ def write_chart(path: pathlib.Path, recording: Recording, films: list[Film], row
                     ([1000 * (m.time - clip.first) for m in shown], [1000 * float(m.dent[car].max()) for m in shown]),
                     (ms, mine["contacts"])]
             for k, (axis, (x, y)) in enumerate(zip(column, data)):
-                if k in (0, 3) and len(x):  # a tick's own lasts from the one before
+                if k in (0, 3) and len(x):  # the value of a tick holds from the tick before
                     x, y = np.insert(x, 0, x[0] - 1000 / recording.rate), np.insert(y, 0, 0)
                 axis.plot(x, y, drawstyle="steps-pre" if k in (0, 3) else "default", **look)
         for axis in column:
@@ -414,7 +417,7 @@ def write_chart(path: pathlib.Path, recording: Recording, films: list[Film], row
         column[0].legend(frameon=False, loc="upper right") if clip.cars else None
     for axis, name in zip(axes[:, 0], names):
         axis.set_ylabel(name)
-        axis.set_ylim(bottom=0)  # once all are drawn: it ends the scaling by itself
+        axis.set_ylim(bottom=0)  # after all plots, because it ends automatic scaling
     figure.suptitle(pathlib.Path(recording._file.name).name, x=0.02, ha="left", fontsize=11)
     figure.tight_layout()
     figure.savefig(path, dpi=100)
@@ -425,7 +428,7 @@ def write_chart(path: pathlib.Path, recording: Recording, films: list[Film], row
 
 
 class Progress:
-    """A line now and then, which begins with three dots: `crumple render` shows the last one where there is a terminal."""
+    """Prints a line now and then that begins with three dots. In a terminal `crumple render` shows the last of them."""
 
     def __init__(self) -> None:
         self.told = time.monotonic()
@@ -464,7 +467,7 @@ def number(low: float, high: float) -> Callable[[str], float]:
             raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
         return float(text)
 
-    read.__name__ = "number"  # argparse says it
+    read.__name__ = "number"  # argparse prints this name
     return read
 
 
@@ -525,20 +528,23 @@ def _mesh_mass(recording: Recording, asset: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="crumple render", description="Draws a recording: an animation in slow motion, a contact sheet and charts.",
+        prog="crumple render", description="Draws a recording as an animation in slow motion, a contact sheet and charts.",
         epilog="Example: crumple render today.mcap -o pictures --speed 0.1", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     none: dict[str, Any] = {"default": argparse.SUPPRESS}
     parser.set_defaults(output="", start=None, to=None, cars=None)
-    parser.add_argument("recording", metavar="FILE", help="recording")
-    parser.add_argument("-o", "--output", metavar="FOLDER", help="by itself one of the recording's name, here", **none)
-    parser.add_argument("--from", metavar="S", dest="start", type=float, help="s of the recording; by itself around each crash", **none)
-    parser.add_argument("--to", metavar="S", type=float, **none)
-    parser.add_argument("--speed", metavar="TIMES", type=number(0.001, 100), default=0.25, help="of the real one")
+    parser.add_argument("recording", metavar="FILE", help="the recording")
+    parser.add_argument("-o", "--output", metavar="FOLDER",
+                        help="where it writes (default: the name of FILE without its ending)", **none)
+    parser.add_argument("--from", metavar="S", dest="start", type=float,
+                        help="it begins here, s (default: shortly before each crash)", **none)
+    parser.add_argument("--to", metavar="S", type=float, help="it ends here, s (default: shortly after each crash)", **none)
+    parser.add_argument("--speed", metavar="TIMES", type=number(0.001, 100), default=0.25,
+                        help="speed of the animation, as a multiple of the real speed")
     parser.add_argument("--fps", metavar="N", type=number(1, 60), default=15, help="frames a second of the animation")
-    parser.add_argument("--cars", metavar="ID", nargs="+", help="whom it is about; by itself all that are hit", **none)
-    parser.add_argument("--size", metavar="WxH", type=size_of, default="960x540", help="pixels")
-    parser.add_argument("--sheet", action="store_true", help="no animation: quicker")
-    parser.add_argument("--frames", action="store_true", help="every frame as a PNG too")
+    parser.add_argument("--cars", metavar="ID", nargs="+", help="the cars that it draws (default: all that are hit)", **none)
+    parser.add_argument("--size", metavar="WxH", type=size_of, default="960x540", help="size of the animation, pixels")
+    parser.add_argument("--sheet", action="store_true", help="leave out the animation, which is quicker")
+    parser.add_argument("--frames", action="store_true", help="write every frame as a PNG too")
     options = parser.parse_args()
     try:
         render(options)

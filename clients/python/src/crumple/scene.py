@@ -1,4 +1,4 @@
-"""Scenes: the JSON files that `crumple drive` plays (schema/scene.fbs), to read, change and write."""
+"""Reads, changes and writes scenes: the JSON files that `crumple drive` plays (schema/scene.fbs)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from crumple.types import ZERO, Obstacle, Parameters, Pose, Shape, Solver, Vecto
 
 @dataclass(frozen=True)
 class Hit:
-    """One run-up of the car: from `position`, at this speed along `direction` (of length 1), until it hits something."""
+    """One run-up of the car. It begins at `position` and goes at this speed along `direction` (of length 1) until it hits
+    something."""
 
     position: Vector
     direction: Vector
@@ -22,7 +23,7 @@ class Hit:
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
-    repair: float = 0.0  # share of the earlier damage that is taken away before
+    repair: float = 0.0  # share of the earlier damage that the server takes away before
     seconds: float = 3.0
 
 

@@ -1,4 +1,4 @@
-"""Sessions: what is held of the cars, and the network that it comes by. One thread at a time uses one."""
+"""Sessions hold cars and connect to a server. Only one thread at a time may use a session."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Value = TypeVar("Value")
 
 
 def _array(place: Any, count: int, kind: type[Any]) -> NDArray[Any]:
-    """A copy: what the library shows lives until the next poll only."""
+    """Makes a copy, because the library's own memory stays valid only until the next poll."""
     rows = np.frombuffer(ffi.buffer(place, 3 * count * np.dtype(kind).itemsize), kind)
     return rows.reshape(count, 3).copy()
 
 
 class View:
-    """Cars as one sees them: live (Session) or at one moment of a recording (Frame)."""
+    """Cars as a viewer sees them: live (Session), or at one moment of a recording (Frame)."""
 
     def __init__(self, **options: Any) -> None:
         given = ffi.new("CrumpleOptions*", {"version": lib.CRUMPLE_CLIENT_VERSION, **options})
@@ -53,14 +53,15 @@ class View:
         self.close()
 
     def cars(self) -> list[str]:
-        """Ids of all that is held or followed."""
+        """Gives the ids of the cars that the session holds or follows."""
         count = lib.crumple_cars(self._handle, ffi.NULL, 0)
         ids = ffi.new("const char*[]", count)
         lib.crumple_cars(self._handle, ids, count)
         return [text(each) for each in ids]
 
     def surface(self, car: str) -> Surface | None:
-        """None: nothing whole has arrived yet, or nothing since a pause of half a second without poll()."""
+        """Gives the surface that the session holds. None: no whole surface has come yet, or none since half a second without
+        poll()."""
         out = ffi.new("CrumpleSurface*")
         if check(lib.crumple_surface(self._handle, car.encode(), out)) == lib.CRUMPLE_PENDING:
             return None
@@ -68,9 +69,10 @@ class View:
         return Surface(out.tick, out.hash, out.quantum, text(out.asset), quanta, bool(out.dirty), bool(out.alive))
 
     def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
-        """Positions and normals, written into the arrays of `out` if given: those of an earlier call, or the caller's own, which may
-        be fields of one structured array. time: of the last half second of Session.time, as it was then, between two ticks if need
-        be; 0: the newest. None: its surface or its mesh has not arrived yet; poll and ask again."""
+        """Gives positions, displacements and normals. out: arrays to write into, those of an earlier call or the caller's own,
+        which may be fields of one structured array. time: a moment of the last half second of Session.time; between two ticks
+        the vertices are on the way from the one to the other; 0: the newest surface. None: the surface or the mesh has not come
+        yet; poll and call again."""
         surface = ffi.new("CrumpleSurface*")
         if check(lib.crumple_surface(self._handle, car.encode(), surface)) == lib.CRUMPLE_PENDING:
             return None
@@ -110,22 +112,22 @@ class View:
         return mesh
 
     def add_asset(self, car: str | os.PathLike[str] | bytes) -> str:
-        """The bytes or the path of a baked car, so that it need not come from the server. Gives its name for spawn()."""
+        """Takes the bytes or the path of a baked car, so that the server need not send it. Gives its name for spawn()."""
         data = car if isinstance(car, bytes) else pathlib.Path(car).read_bytes()
         name = ffi.new("char[17]")
         check(lib.crumple_add_asset(self._handle, data, len(data), name))
         return text(name)
 
     def health(self) -> Health | None:
-        """Of the server, once a second; None: it has not told yet."""
+        """Gives the server's last message of health, which comes once a second. None: none has come yet."""
         out = ffi.new("CrumpleHealth*")
         if lib.crumple_health(self._handle, out) == lib.CRUMPLE_PENDING:
             return None
         return Health(out.tick, out.late, out.rate, out.tick_ms, out.worst_ms, out.refusals)
 
     def impair(self, delay: float = 0, jitter: float = 0, loss: float = 0, repeat: float = 0, seed: int = 0) -> None:
-        """A bad line from now on, to test a game on: its poses, and all that is published to it, are late (s) or lost (shares).
-        Without arguments it is good again."""
+        """Simulates a bad line from now on, to test a game on it: the session delays (s) or loses (shares) the poses that it
+        sends and everything that is published to it. Without arguments the line is good again."""
         line = ffi.new("CrumpleImpairment*", {"delay": delay, "jitter": jitter, "loss": loss, "repeat": repeat, "seed": seed})
         check(lib.crumple_impair(self._handle, line))
 
@@ -135,18 +137,19 @@ class View:
         return Statistics(*(getattr(out, name) for name in Statistics.__dataclass_fields__))
 
     def reaction_rows(self) -> NDArray[np.void]:
-        """reactions() as a structured array."""
+        """Gives reactions() as a structured array."""
         taken = ffi.new("CrumpleReaction[]", 4096)
         return _convert.reaction_rows(taken, lib.crumple_take_reactions(self._handle, taken, 4096))
 
     def reactions(self) -> list[Reaction]:
-        """Those that came since the last call, oldest first."""
+        """Gives the reactions that came since the last call, oldest first."""
         return [_convert.reaction_of(row) for row in self.reaction_rows()]
 
 
 class Session(View):
-    """A session with a scene of a server. host: the id under which it moves cars; None: a viewer. timeout (s): for the connection
-    and for each command. network: JSON5 of zenoh's own configuration (TLS, user, password), as of `crumple watch --network`."""
+    """A session with a scene of a server. host: the id under which it moves cars; None: a viewer only. timeout: s, for the
+    connection and for each command. network: JSON5 in zenoh's own form (TLS, user, password), as for `crumple watch
+    --network`."""
 
     def __init__(
         self, connect: str, scene: str = "main", host: str | None = None, timeout: float = 2.0, network: str | None = None,
@@ -158,11 +161,13 @@ class Session(View):
         self._timeout = timeout
 
     def poll(self, timeout: float = 0.0) -> int:
-        """Takes in what has arrived; waits for at most `timeout` seconds if there is nothing. Gives the number of messages."""
+        """Takes in the messages that have arrived; if there are none, it waits for one for at most `timeout` seconds. Gives
+        their number."""
         return check(lib.crumple_poll(self._handle, round(1e6 * max(0.0, timeout))))
 
     def until(self, condition: Callable[[], Value | None], timeout: float = 10.0) -> Value:
-        """Polls until the condition gives something that is true, and gives that; TimeoutError after `timeout` seconds."""
+        """Polls until the condition gives something that is true, and gives that. It raises TimeoutError after `timeout`
+        seconds."""
         deadline = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > deadline:
@@ -170,7 +175,7 @@ class Session(View):
             self.poll(0.1)
         return value
 
-    # ---- commands: each gives the first tick that knows of it, or raises Refused with the server's sentence
+    # ---- commands: each gives the tick in which the server did it, or raises Refused with the server's sentence
 
     def _order(self, send: Callable[..., int], car: str, *arguments: Any) -> Any:
         ticket = ffi.new("uint64_t*")
@@ -185,7 +190,7 @@ class Session(View):
         self, car: str, asset: str, pose: Pose = Pose(), *, planar: bool = True, mass: float = 0.0,
         inertia: Vector = (0.0, 0.0, 0.0), center_of_mass: Vector = (0.0, 0.0, 0.0),
     ) -> int:
-        """planar: on its wheels. What is 0 is the baked car's."""
+        """planar: the car is on its wheels. Where a number is 0, that of the baked car counts."""
         to = ffi.new("CrumpleSpawn*")
         _convert.fill_pose(pose, to.pose)
         to.mass, to.planar = mass, int(planar)
@@ -197,14 +202,14 @@ class Session(View):
         return int(self._order(lib.crumple_despawn, car).tick)
 
     def repair(self, car: str, amount: float = 1.0) -> int:
-        """amount: share of the damage that is taken away."""
+        """amount: the share of the damage that the server takes away, 0 to 1."""
         return int(self._order(lib.crumple_repair, car, amount).tick)
 
     def set_parameters(self, car: str, parameters: Parameters) -> int:
         return int(self._order(lib.crumple_set_parameters, car, _convert.c_parameters(parameters)).tick)
 
     def save(self, car: str) -> bytes:
-        """The car's deformation, for load()."""
+        """Gives the car's deformation, for load()."""
         answer = self._order(lib.crumple_save, car)
         return bytes(ffi.buffer(answer.state, answer.state_size))
 
@@ -214,7 +219,7 @@ class Session(View):
     # ---- host
 
     def publish_poses(self, time: float, cars: Sequence[CarPose]) -> None:
-        """All cars of this host. time: the host's clock, s."""
+        """Sends all cars of this host. time: the host's clock, s."""
         names = [ffi.new("char[]", car.car.encode()) for car in cars]
         list_ = ffi.new("CrumpleCarPose[]", len(cars))
         for car, name, to in zip(cars, names, list_):
@@ -222,7 +227,7 @@ class Session(View):
         check(lib.crumple_publish_poses(self._handle, time, list_, len(cars)))
 
     def publish_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """The whole list of this host; it replaces the one before."""
+        """Sends the whole list of this host, which replaces the list before."""
         hulls = [ffi.new("float[]", [x for point in each.points for x in _convert.numbers(point, 3, "a point")])
                  for each in obstacles]
         list_ = ffi.new("CrumpleObstacle[]", len(obstacles))
@@ -234,13 +239,14 @@ class Session(View):
 
     @property
     def time(self) -> float:
-        """The server's now, as in Reaction.time; 0: nothing has come yet."""
+        """The server's time now, s, as in Reaction.time; 0: no message has come yet."""
         return float(lib.crumple_time(self._handle))
 
     def follow(self, car: str | None = None, level: int = 0) -> None:
-        """From now on this car's surface is held; None: every car's. level 0: every tick, 1: for who is far."""
+        """From now on the session holds the surface of this car; None: of every car. level 0: in every tick; 1: less often and
+        more coarsely, from afar."""
         check(lib.crumple_follow(self._handle, car.encode() if car else ffi.NULL, level))
 
     def mesh(self, asset: str) -> Mesh:
-        """Fetched from the server once; waits until it is there."""
+        """Fetches the mesh from the server, once, and waits until it has come."""
         return self.until(lambda: self._mesh(asset), max(10.0, self._timeout))

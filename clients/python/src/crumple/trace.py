@@ -1,5 +1,5 @@
-"""Triangles in, a picture out, by rays: Embree finds what they meet. Surfaces are two-sided paint that reflects a simple sky; light
-comes from one sun, which stands behind the camera, and from all of the sky, each where nothing is in its way."""
+"""Draws triangles by rays: Embree finds what each ray meets. Surfaces are two-sided paint, which reflects a simple sky. Light
+comes from one sun, which stands behind the camera, and from the whole sky, each as far as nothing is in its way."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Array = NDArray[Any]
 BACKGROUND = np.array([0.90, 0.92, 0.94], np.float32)
 GROUND = np.array([0.74, 0.74, 0.73], np.float32)
 SKY_RAYS = 40
-SUN_SIZE = 0.06  # radians: the ground's shadows have soft edges
-GRID = 0.05  # m between the points where the ground's light is found; it varies slowly
-AROUND = 2.0  # m around all things: farther out the ground is taken as open
-NEAR = 2e-3  # m: a ray begins this far off its surface
+SUN_SIZE = 0.06  # radians, so that shadows on the ground have soft edges
+GRID = 0.05  # m between the points at which the light on the ground is computed; it varies slowly
+AROUND = 2.0  # m around everything: farther out nothing shades the ground
+NEAR = 2e-3  # m from its surface at which a ray begins
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Mesh:
 
 
 class Camera:
-    """Looks from `eye` to `target`, with z up; field: degrees from bottom to top. sun: radians by which
-    it stands beside the eye, anticlockwise from above."""
+    """Looks from `eye` to `target`, with z up. field: degrees from bottom to top. sun: radians by which the sun stands beside
+    the eye, anticlockwise from above."""
 
     def __init__(self, eye: Array, target: Array, width: int, height: int, field: float, sun: float = -0.6) -> None:
         forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
@@ -45,7 +45,7 @@ class Camera:
         self.sun = _unit(np.array([np.cos(turn), np.sin(turn), 1.15], np.float32))
 
     def rays(self, x: Array, y: Array) -> Array:
-        """Directions through points of the picture, in pixels from its upper left corner."""
+        """Gives directions through points of the picture, which are in pixels from its upper left corner."""
         flat = np.stack([(x - self.width / 2) / self.focal, (self.height / 2 - y) / self.focal, np.ones_like(x)], 1)
         return _unit(flat.astype(np.float32) @ self.axes)
 
@@ -59,7 +59,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _spread(count: int) -> Array:
-    """Directions evenly over the upper half of the sphere."""
+    """Spreads directions evenly over the upper half of the sphere."""
     i = np.arange(count) + 0.5
     z, turn = 1 - i / count * 0.95, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - z * z)
@@ -67,7 +67,8 @@ def _spread(count: int) -> Array:
 
 
 def _corner_normals(vertex: Array, triangle: Array, crease: float = 0.75) -> Array:
-    """Per corner of each triangle: the mean normal of the triangles around its vertex whose own is within `crease` (cosine)."""
+    """Gives for each corner of each triangle the mean normal of those triangles around its vertex that meet it at less than the
+    angle of `crease` (a cosine)."""
     edge = vertex[triangle]
     area = np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0])
     unit = _unit(area)
@@ -113,12 +114,12 @@ class Scene:
         return found
 
     def reached(self, origin: Array, direction: Array) -> Array:
-        """Whether nothing is in the way, without end."""
+        """Whether nothing is in the way, however far."""
         direction = np.ascontiguousarray(np.broadcast_to(direction, origin.shape), np.float32)
         return np.asarray(self._embree.run(np.ascontiguousarray(origin, np.float32), direction, query="OCCLUDED") == -1)
 
     def sky_light(self, point: Array, normal: Array) -> Array:
-        """Of each point, the share of an open plane's light that comes from the sky; the ground gives a little back."""
+        """Gives for each point the light from the sky, as a share of an open plane's; the ground reflects a little."""
         light = np.zeros(len(point), np.float32)
         for direction in _spread(SKY_RAYS):
             toward = np.flatnonzero(normal @ direction > 0)
@@ -127,7 +128,7 @@ class Scene:
         return np.asarray(0.1 + 0.9 * light / (0.525 * SKY_RAYS) + bounced)
 
     def picture(self, camera: Camera) -> Array:
-        """height x width x 3 bytes. Where what is seen changes from pixel to pixel, eight more rays smooth the edge."""
+        """Gives height x width x 3 bytes. Where neighbouring pixels see different things, eight more rays smooth the edge."""
         self._light_ground(camera)
         self._normal = _corner_normals(self.vertex, self.triangle)
         self._sky = np.full((len(self.triangle), 3), -1, np.float32)
@@ -148,7 +149,7 @@ class Scene:
         return (255 * np.clip(image, 0, 1) + 0.5).astype(np.uint8).reshape(*shape, 3)
 
     def _look(self, camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-        """Colours, and what to know edges by: normal and owner."""
+        """Gives colours, and normal and owner, by which picture() finds edges."""
         ray = camera.rays(x, y)
         found = self.hits(camera.eye, ray)
         which = found["primID"]
@@ -183,7 +184,8 @@ class Scene:
         return image, seen
 
     def _light_corners(self, wanted: Array, camera: Camera) -> None:
-        """Sky light is found at the corners of the triangles that are seen, on the side that is, and varies evenly between."""
+        """Computes the light of the sky at the corners of the triangles that the camera sees, on the side that it sees. Between
+        the corners the light varies evenly."""
         new = wanted[self._sky[wanted, 0] < 0]
         corner = self.vertex[self.triangle[new]]
         flat = _unit(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
@@ -205,7 +207,7 @@ class Scene:
             key += self.reached(point, camera.sun + r * (np.cos(turn) * right + np.sin(turn) * np.cross(right, camera.sun))) / 8
         fill = self.sky_light(point, np.tile(np.array([0, 0, 1], np.float32), (len(point), 1)))
         fill = fill.reshape(x.shape)
-        for axis in (0, 1, 0, 1):  # of few rays: their shadows' edges go
+        for axis in (0, 1, 0, 1):  # few rays give shadows hard edges, which this smooths away
             fill = (fill + np.roll(fill, 1, axis) + np.roll(fill, -1, axis)) / 3
         border = np.minimum.reduce([x - low[0], high[0] - x, y - low[1], high[1] - y]) / AROUND
         shade = 1 - 0.42 * key.reshape(x.shape) - 0.58 * np.minimum(fill, 1)

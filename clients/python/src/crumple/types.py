@@ -1,5 +1,5 @@
-"""What goes to the server and comes from it. SI units; world z up; a car is x forward, y left, z up; orientations are unit
-quaternions (x, y, z, w)."""
+"""What a session sends to the server and receives from it. Units are SI. In the world z is up; a car has x forward, y left and
+z up; orientations are unit quaternions (x, y, z, w)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class Pose:
 
 @dataclass(frozen=True)
 class CarPose:
-    """What a host intends for one car now. seen: tick of the last reaction that it contains; 0: the car follows a script."""
+    """What a host intends for one car now. seen: the tick of the last reaction that pose and velocity contain; 0: the car
+    follows a script."""
 
     car: str
     pose: Pose
@@ -44,7 +45,7 @@ class Shape(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A rigid convex thing. With velocities it moves on by itself."""
+    """A rigid convex body. If it has velocities, it moves on by itself."""
 
     id: int
     shape: Shape
@@ -53,7 +54,7 @@ class Obstacle:
     friction: float = 0.3
     velocity: Vector = ZERO
     angular_velocity: Vector = ZERO
-    points: tuple[Vector, ...] = ()  # of a hull, local
+    points: tuple[Vector, ...] = ()  # of a hull, in its own frame
 
 
 class Solver(enum.IntEnum):
@@ -63,20 +64,20 @@ class Solver(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Parameters:
-    """None: it stays as it is. Ranges: server/sim/material.h."""
+    """None: the parameter stays as it is. server/sim/material.h has the ranges."""
 
     solver: Solver | None = None
     iterations: int | None = None
     substeps: int | None = None
     tolerance: float | None = None
-    region: int = -1  # which the fields below are for; -1: all
+    region: int = -1  # the one that the fields below are for; -1: all
     young_modulus: float | None = None
     poisson_ratio: float | None = None
     yield_: float | None = None
     hardening: float | None = None
     plastic_limit: float | None = None
     viscosity: float | None = None
-    distance_stiffness: float | None = None  # of the solver `classic`, as the next two
+    distance_stiffness: float | None = None  # of the solver `classic`, like the next two
     volume_stiffness: float | None = None
     plasticity: float | None = None
 
@@ -87,7 +88,7 @@ class Reaction:
 
     car: str
     tick: int
-    time: float  # of the server's ticks, s
+    time: float  # s, by the server's ticks
     impulse: Vector  # N s, world
     angular_impulse: Vector  # N m s about the centre of mass, world
     pose: Pose  # at the end of the tick
@@ -101,7 +102,8 @@ class Reaction:
 
 @dataclass(frozen=True)
 class Surface:
-    """What is held of a car, bit for bit what the server has. quanta: displacement from rest of the nodes that the skin uses."""
+    """The surface of a car as the session holds it, with the same bits as the server's. quanta: displacements from rest of the
+    nodes that the skin uses."""
 
     tick: int
     hash: int  # XXH64 of quanta
@@ -114,7 +116,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Vertices:
-    """Float arrays of n x 3; changed: outside of it nothing is other than the last time."""
+    """Arrays of n x 3 floats. changed: only these vertices may differ from the last call."""
 
     position: NDArray[np.float32]  # m, car's frame
     displacement: NDArray[np.float32]  # m, from rest
@@ -124,29 +126,30 @@ class Vertices:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A car as undamaged."""
+    """The undamaged car."""
 
     vertex: NDArray[np.float32]  # n x 3, m
     triangle: NDArray[np.uint32]  # m x 3
     mass: float  # kg
     center_of_mass: tuple[float, ...]  # m
     name: str
-    attribution: str  # must be shown where the car is
+    attribution: str  # must be shown where the car is shown
 
 
 @dataclass(frozen=True)
 class Health:
     tick: int
-    late: int  # ticks that could not start in time
+    late: int  # number of ticks that began late
     rate: float  # ticks a second
-    tick_ms: float  # of the last second: mean
-    worst_ms: float
+    tick_ms: float  # duration of the ticks of the last second: mean
+    worst_ms: float  # and the longest
     refusals: int
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Messages and bytes that came; of them surfaces; how many of these were older than what is held, malformed, asked for."""
+    """Messages and bytes that came, and the keyframes and deltas among them. older: the session held newer ones. refused:
+    malformed. asked: queries for a keyframe."""
 
     received: int
     received_bytes: int

@@ -1,14 +1,14 @@
-// Sliders for every parameter of a car and its regions, applied while they are moved. Names, ranges, units and defaults are the
-// server's. What a car has been told by others the server does not tell: shown is what this page has set, else the default.
-import type { Changes, Control, Parameter } from "./control.js";
-import { download, pick, sentence, type Shown } from "./tools.js";
+// Sliders for every parameter of a car and its regions, which act while they move. Names, ranges, units and defaults come from the
+// server. The server does not say what others have set, so a slider shows what this page has set, or the default.
+import type { Changes, Control, Parameter } from "../control.js";
+import { download, pick, sentence, type Shown } from "./workbench.js";
 
-/** ms without a change until it is sent. */
+/** ms without a change, after which the page sends the changes. */
 const pause = 150;
-/** Steps of a slider, and decades of one below the default where its range begins at 0. */
+/** Steps of a slider. If a range begins at 0, its slider goes this many decades below the default. */
 const steps = 1000, decades = 3;
 
-/** Where a value stands on its slider, 0 to 1, and back. Ranges that span decades are logarithmic; 0 stands at their beginning. */
+/** Converts a value to its place on the slider, 0 to 1, and back. Ranges of several decades are logarithmic, and begin with 0. */
 class Scale {
   readonly #least: number;
   readonly #log: boolean;
@@ -43,11 +43,11 @@ export class Tune {
   #rows: Row[] = [];
   #region: HTMLSelectElement;
   #solver: HTMLSelectElement;
-  #shown = ""; // the car and its regions that the choice of regions is of
+  #shown = ""; // the car and the regions that the choice of regions has now
   #set = new Map<string, Map<number, Changes>>(); // by car and its life, by region
   #waiting: Changes = {};
-  #moved: Shown | null = null; // whose they are
-  #sent: Promise<unknown> = Promise.resolve(); // one after another, so that the last one stands
+  #moved: Shown | null = null; // the car that they are for
+  #sent: Promise<unknown> = Promise.resolve(); // one after another, so that the last one counts
   #timer = 0;
 
   constructor(readonly control: Control, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -129,7 +129,7 @@ export class Tune {
     this.#solver.value = `${value("solver", -1) ?? "nodal"}`;
   }
 
-  // What is moved within a pause goes as one.
+  // Changes without a pause between them go as one command.
   #change(changes: Changes): void {
     const ofCar = Object.keys(changes).every((name) => name === "solver" || this.control.parameters.some((of) => of.name === name && !of.ofRegion));
     const region = ofCar ? -1 : this.#region_;
@@ -174,7 +174,7 @@ export class Tune {
     }
   }
 
-  // All regions first: the others lie over it.
+  // The entry of all regions comes first, because those of single regions lie over it.
   #save(): void {
     const shown = this.chosen();
     if (!shown) return;

@@ -1,19 +1,19 @@
-// A brush on the undamaged surface. A dab is a sphere of schema/regions.fbs, an eraser one of "body", and what was painted last stands:
-// so a painted mask is a regions file.
+// A brush on the undamaged surface. A dab is a sphere of schema/regions.fbs, the eraser paints spheres of "body", and the last one
+// counts. So a painted mask is a regions file.
 import * as THREE from "three";
 import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js";
-import { readCar, type BakedCar } from "./baked.js";
-import type { Control } from "./control.js";
-import { digits, hashOf, type Vec3 } from "./decode.js";
-import { CarMesh } from "./three.js";
-import { download, pick, sentence, type Shown, type Stage } from "./tools.js";
+import { readCar, type BakedCar } from "../baked.js";
+import type { Control } from "../control.js";
+import { digits, hashOf, type Vec3 } from "../decode.js";
+import { CarMesh } from "../three.js";
+import { download, pick, sentence, type Shown, type Workbench } from "./workbench.js";
 
 interface Point {
   x: number;
   y: number;
   z: number;
 }
-/** An entry of a regions file: one of sphere and box. */
+/** An entry of a regions file. It has either a sphere or a box. */
 interface Entry {
   name: string;
   anchored?: boolean;
@@ -21,16 +21,16 @@ interface Entry {
   box?: { center: Point; half: Point; orientation?: Point & { w: number } };
 }
 
-/** Okabe and Ito's, for what was painted first, second, ...; more regions than these are told apart by the legend alone. */
+/** Okabe and Ito's colours, in the order of painting. If there are more regions, colours come again. */
 const palette = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000"].map((colour) => new THREE.Color(colour));
 const bare = new THREE.Color("#e3e3df");
-/** Of the radius, from dab to dab of a stroke. */
+/** Distance from dab to dab of a stroke, as a share of the radius. */
 const spacing = 0.4;
 const radii = { low: 0.05, high: 0.8, first: 0.2 }; // m
 const eraser = "body";
-/** Triangles of the mask: small ones, for the sheets of a car have few vertices. */
+/** Divides the triangles of the mask, because flat sheets of a car have few vertices. */
 const tiles = new TessellateModifier(0.06, 10); // m, halvings
-/** Of the cells in which its corners are kept, so that a dab looks at those near it: their width, m. */
+/** Width of the cells that the corners of the mask are sorted into, so that a dab looks only at those near it, m. */
 const cellWidth = 0.2;
 
 export class Paint {
@@ -38,19 +38,19 @@ export class Paint {
   entries: readonly Entry[] = [];
   #past: (readonly Entry[])[] = [];
   #future: (readonly Entry[])[] = [];
-  #tinted: readonly Entry[] = []; // what the mask shows
+  #tinted: readonly Entry[] = []; // the entries that the mask shows
   #on = false;
-  #stroke: Entry[] | null = null; // being painted
+  #stroke: Entry[] | null = null; // the one that the pointer paints now
   #pointers = new Set<number>();
-  #mesh: CarMesh | null = null; // at rest, for the rays
-  #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what is seen of it
+  #mesh: CarMesh | null = null; // the car at rest, which rays hit
+  #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what the page shows of it
   #cells: { center: THREE.Vector3; corners: number[] }[] = [];
-  #hidden: CarMesh | null = null; // in whose place they are shown
+  #hidden: CarMesh | null = null; // the mesh that is hidden meanwhile
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
   #ray = new THREE.Raycaster();
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
-  constructor(readonly control: Control, readonly stage: Stage, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
+  constructor(readonly control: Control, readonly workbench: Workbench, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
     this.root.id = "paint";
     this.root.innerHTML = `<summary>Paint</summary>
       <button id="paint-on" aria-pressed="false" aria-keyshortcuts="m" title="Key M">Paint with the pointer</button>
@@ -83,20 +83,20 @@ export class Paint {
     this.#changed();
   }
 
-  /** While it is on the car stands undamaged, and the pointer paints it. */
+  /** While this is on, the page shows the car undamaged, and the pointer paints it. */
   toggle(on: boolean): void {
     this.#on = on;
     if (on) this.root.open = true;
     this.#find("#paint-on").setAttribute("aria-pressed", String(on));
-    const { controls } = this.stage;
+    const { controls } = this.workbench;
     controls.mouseButtons = { LEFT: on ? null : THREE.MOUSE.ROTATE, MIDDLE: THREE.MOUSE.DOLLY, RIGHT: on ? THREE.MOUSE.ROTATE : THREE.MOUSE.PAN };
     controls.touches = { ONE: on ? null : THREE.TOUCH.ROTATE, TWO: on ? THREE.TOUCH.DOLLY_ROTATE : THREE.TOUCH.DOLLY_PAN };
-    this.stage.canvas.style.cursor = on ? "crosshair" : "";
+    this.workbench.canvas.style.cursor = on ? "crosshair" : "";
     this.update();
-    this.stage.wake();
+    this.workbench.wake();
   }
 
-  /** The regions file. */
+  /** Gives the regions file. */
   json(): string {
     return `{\n  "regions": [${this.entries.map((entry) => `\n    ${JSON.stringify(entry)}`).join(",")}\n  ]\n}\n`;
   }
@@ -121,14 +121,14 @@ export class Paint {
     this.#changed();
   }
 
-  /** Whether the mask can be painted on. */
+  /** Whether the pointer can paint now. */
   get showing(): boolean {
     return this.#mask !== null;
   }
 
-  /** Where a point of the car, m in its frame, is on the page; for tests. */
+  /** Gives the place on the page of a point of the car, m in its frame; for tests. */
   screen(point: Vec3): { x: number; y: number } {
-    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.stage.camera), box = this.stage.canvas.getBoundingClientRect();
+    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.workbench.camera), box = this.workbench.canvas.getBoundingClientRect();
     return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
   }
 
@@ -149,7 +149,7 @@ export class Paint {
   // ---- the pointer ----
 
   #listen(): void {
-    const { canvas } = this.stage;
+    const { canvas } = this.workbench;
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.#on) return;
       this.#pointers.add(event.pointerId);
@@ -186,9 +186,9 @@ export class Paint {
 
   #hit({ clientX, clientY }: { clientX: number; clientY: number }): THREE.Vector3 | null {
     if (!this.#mesh) return null;
-    const box = this.stage.canvas.getBoundingClientRect();
+    const box = this.workbench.canvas.getBoundingClientRect();
     const at = new THREE.Vector2((2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height);
-    this.#ray.setFromCamera(at, this.stage.camera);
+    this.#ray.setFromCamera(at, this.workbench.camera);
     const [hit] = this.#ray.intersectObject(this.#mesh, false);
     return hit ? this.#mesh.worldToLocal(hit.point.clone()) : null;
   }
@@ -197,7 +197,7 @@ export class Paint {
     this.#tip.visible = at !== null;
     if (at) this.#tip.position.copy(at);
     this.#tip.scale.setScalar(this.#radius);
-    this.stage.wake();
+    this.workbench.wake();
   }
 
   get #radius(): number {
@@ -224,8 +224,8 @@ export class Paint {
 
   #dabInTheMiddle(): void {
     if (!this.#on) this.toggle(true);
-    // of what the panel leaves free: there the camera looks
-    const { camera, controls } = this.stage, at = controls.target.clone().project(camera), box = this.stage.canvas.getBoundingClientRect();
+    // the middle of the part of the window that the panel leaves free, where the camera looks
+    const { camera, controls } = this.workbench, at = controls.target.clone().project(camera), box = this.workbench.canvas.getBoundingClientRect();
     const point = this.#hit({ clientX: box.left + ((at.x + 1) / 2) * box.width, clientY: box.top + ((1 - at.y) / 2) * box.height });
     if (!point) return this.tell("the middle of the view is not on the car", true);
     this.#stroke = [];
@@ -289,10 +289,10 @@ export class Paint {
     this.#find("#paint-names").replaceChildren(...[...new Set(entries.map(({ name }) => name))].map((name) => new Option(name)));
     this.#find<HTMLButtonElement>("#paint-undo").disabled = !this.#past.length;
     this.#find<HTMLButtonElement>("#paint-redo").disabled = !this.#future.length;
-    this.stage.wake();
+    this.workbench.wake();
   }
 
-  // Where entries went, by those before them; then those that came, over it.
+  // Colours corners anew: those of entries that went, by the remaining entries; then those of entries that came.
   #tint({ position, color }: THREE.NormalBufferAttributes, entries: readonly Entry[], colourOf: (entry: Entry) => THREE.Color): void {
     const before = this.#tinted, point = new THREE.Vector3();
     let same = 0;
@@ -349,7 +349,7 @@ function inCells(position: THREE.BufferAttribute | THREE.InterleavedBufferAttrib
   return [...cells.values()];
 }
 
-/** Whether a point, m in the car's frame, is in the entry. */
+/** Gives a function that says whether a point, m in the car's frame, is in the entry. */
 function inside({ sphere, box }: Entry): (point: THREE.Vector3) => boolean {
   const at = new THREE.Vector3(), center = new THREE.Vector3();
   if (sphere) {

@@ -1,10 +1,10 @@
-// Two scenes beside each other: two recordings on one clock, or the live scene and a recording. What differs is the distance between
-// the two places of a vertex, each in its own car's frame: so it is about shape, wherever the cars stand.
+// Compares two scenes: two recordings on one clock, or the live scene and a recording. The difference is the distance between the two
+// places of a vertex, each in the frame of its car, so it compares shapes, wherever the cars stand.
 import * as THREE from "three";
-import type { BakedCar } from "./baked.js";
-import type { Film } from "./film.js";
-import type { LiveCar } from "./scene.js";
-import type { CarMesh } from "./three.js";
+import type { BakedCar } from "../baked.js";
+import type { Film } from "../film.js";
+import type { LiveCar } from "../scene.js";
+import type { CarMesh } from "../three.js";
 
 export interface Clock {
   /** s */
@@ -14,15 +14,15 @@ export interface Clock {
 }
 
 /**
- * Both at their first contact at the same moment: recordings begin when a server was started, some time before anything happens, and
- * a crash of which one is a tick ahead differs by what a tick does. Where one has no contact both begin together.
+ * Shows the first contacts of both at the same moment. Recordings begin when a server was started, some time before anything happens,
+ * and if one were a tick ahead in a crash, they would differ by what a tick does. If one has no contact, both begin together.
  */
 export class BothClocks implements Clock {
   time = 0;
   readonly duration: number;
-  /** How a reader is told. */
+  /** What the page says about it. */
   readonly aligned: string;
-  #ahead: [number, number]; // s that each waits until it begins
+  #ahead: [number, number]; // s after which each begins
 
   constructor(readonly first: Film, readonly second: Film) {
     const [a, b] = [first.firstContact, second.firstContact];
@@ -46,7 +46,7 @@ export interface Rectangle {
   height: number;
 }
 
-/** Beside each other, or on a phone, one above the other. */
+/** Divides a rectangle in two beside each other, or, on a phone, one above the other. */
 export function halves({ left, top, width, height }: Rectangle): Rectangle[] {
   if (width > 480) return [0, 1].map((i) => ({ left: left + (i * width) / 2, top, width: width / 2, height }));
   return [0, 1].map((i) => ({ left, top: top + (i * height) / 2, width, height: height / 2 }));
@@ -62,34 +62,34 @@ interface Pair {
   shown: [Shown, Shown];
   meshes: [CarMesh, CarMesh];
   versions: [number, number];
-  /** m, a vertex */
+  /** The difference of each vertex, m. */
   apart: Float32Array;
   largest: number;
   rms: number;
 }
 
-/** Last colour of the scale, m. */
+/** Differences that may have the last colour, m. */
 const scales = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5];
 
 export class Comparison {
-  /** m. Grows with what was found, and stays: a colour means the same at every moment. */
+  /** The difference that has the last colour, m. It grows with the differences and never shrinks, so that colours keep their meaning. */
   most = scales[0];
-  /** About cars that have no difference to show: a sentence each. */
+  /** A sentence for each car that cannot be compared. */
   sentences: string[] = [];
   pairs: Pair[] = [];
   #colours: readonly THREE.Color[] | null = null;
 
-  /** clock: null where one of them is the live scene, which is shown as it is now; the recording has a clock of its own. */
+  /** clock: null if one is the live scene, which the page shows as it is now; then the recording has its own clock. */
   constructor(readonly names: [string, string], readonly clock: BothClocks | null) {}
 
-  /** Finds pairs and what differs, and paints both cars of each with it, unless `colours` is null. */
+  /** Finds pairs of cars and their differences, and paints both cars of each pair, unless `colours` is null. */
   update(left: ReadonlyMap<string, Shown>, right: ReadonlyMap<string, Shown>, colours: readonly THREE.Color[] | null): void {
     const before = this.pairs;
     this.pairs = [];
     this.sentences = [];
     for (const shown of couples(left, right, this.names, this.sentences)) {
       const [a, b] = shown.map(({ mesh }) => mesh);
-      if (!a || !b) continue; // its asset is on its way
+      if (!a || !b) continue; // its asset has not come yet
       const known = before.find(({ meshes }) => meshes[0] === a && meshes[1] === b);
       const trouble = known ? "" : differs(a.baked, b.baked);
       if (trouble) this.sentences.push(`${shown[0].car.id}: ${trouble}`);
@@ -105,7 +105,7 @@ export class Comparison {
       for (const { meshes, apart } of again ? this.pairs : changed) for (const mesh of meshes) mesh.paint(colours, most, apart);
   }
 
-  /** What is found, for a reader. */
+  /** What it found, as the page says it. */
   lines(): string[] {
     const mm = (metres: number) => `${(1000 * metres).toFixed(1)} mm`;
     const found = this.pairs.map(({ shown, largest, rms }) => {
@@ -120,7 +120,7 @@ export class Comparison {
   }
 }
 
-// By id; where none is the same, the only car of each.
+// Cars belong together by id; if no id is the same, and each scene has one car, these two do.
 function couples(left: ReadonlyMap<string, Shown>, right: ReadonlyMap<string, Shown>, names: [string, string], sentences: string[]): [Shown, Shown][] {
   const both = [...left.values()].filter(({ car }) => right.has(car.id)).map((a): [Shown, Shown] => [a, right.get(a.car.id)!]);
   if (!both.length && left.size === 1 && right.size === 1) return [[[...left.values()][0], [...right.values()][0]]];
