@@ -28,6 +28,8 @@
 #include "sim/nodal.h"
 #include "sim/rest.h"
 #include "sim/skin.h"
+#include "tick/hash.h"
+#include "tick/levels.h"
 #include "tick/state.h"
 
 namespace {

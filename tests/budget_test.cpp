@@ -1,4 +1,6 @@
 // The time budget: what a tick may take at most, whom it is taken from, and that it is an input like any other.
+#include "tick/budget.h"
+
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
 
@@ -6,6 +8,9 @@
 
 #include "box_car.h"
 #include "host.h"
+#include "tick/hash.h"
+#include "tick/health.h"
+#include "tick/levels.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 

@@ -9,6 +9,7 @@
 #include <set>
 
 #include "cpp/crumple_client.h"
+#include "cpp/session.h"
 
 namespace crumple {
 namespace {
@@ -231,6 +232,25 @@ TEST(CLibrary, OpensNothingWithOptionsThatAreNone) {
   EXPECT_LT(crumple_open(&options, &session), 0);
   options.network = "\xff\xfe";
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+}
+
+TEST(CLibrary, AnExceptionBecomesWhatItSays) {
+  const auto thrown = [](auto exception) { return client::guarded({}, [&]() -> int { throw exception; }); };
+  EXPECT_EQ(thrown(std::runtime_error("the moon is full")), CRUMPLE_FAILED);
+  EXPECT_STREQ(crumple_error(), "the moon is full");
+  EXPECT_EQ(thrown(7), CRUMPLE_FAILED);
+  EXPECT_STREQ(crumple_error(), "something was thrown that is no exception of C++");
+  for (const int status : {thrown(std::bad_alloc()), thrown(std::length_error("vector"))}) {
+    EXPECT_EQ(status, CRUMPLE_NO_MEMORY);
+    EXPECT_STREQ(crumple_error(), "no memory");
+  }
+}
+
+TEST(CLibrary, NoSceneIsNamedAsTheKeysOfBakedCars) {
+  CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 0, nullptr, "asset", nullptr, nullptr};
+  Crumple* session = nullptr;
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
+  EXPECT_NE(std::string(crumple_error()).find("the keys of baked cars"), std::string::npos) << crumple_error();
 }
 
 }  // namespace

@@ -365,6 +365,14 @@ TEST_F(EndToEnd, ExitCodesAndErrorsSayWhatToDo) {
   EXPECT_EQ(run({}).code, 2);
   EXPECT_EQ(run({"serve", "--car", car_file.string(), "--rate", "-3"}).code, 2);
   EXPECT_EQ(run({"replay", car_file.string()}).code, 2);
+  for (const char* verb : {"serve", "watch", "view"}) {
+    std::vector<std::string> arguments = {verb, "--scene", "asset"};
+    if (*verb == 's') arguments.insert(arguments.end(), {"--car", car_file.string()});
+    const Outcome of_cars = run(arguments);
+    EXPECT_EQ(of_cars.code, 2) << of_cars.text;
+    EXPECT_NE(of_cars.text.find("\"asset\" is no scene: the keys of baked cars stand under it"), std::string::npos)
+        << of_cars.text;
+  }
   const Outcome not_recording = run({"replay", car_file.string(), "--verify"});
   EXPECT_EQ(not_recording.code, 1);
   EXPECT_NE(not_recording.text.find("box.car"), std::string::npos) << not_recording.text;

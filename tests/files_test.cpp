@@ -8,6 +8,7 @@
 
 #include <csignal>
 #include <set>
+#include <thread>
 
 #include "bake/bake.h"
 #include "bake/load_car.h"
@@ -152,6 +153,25 @@ TEST_F(FilesOfVerbs, AnExportOrARecoveryThatFindsNoRoomLeavesNoFile) {
   }
   EXPECT_FALSE(std::filesystem::exists(path("whole.mcap")));
   EXPECT_EQ(names_in(path("films")), std::set<std::string>{});
+}
+
+// Whoever writes to it may be broken, and never end.
+TEST(Files, APipeIsReadToItsEndOrItsBound) {
+  for (const size_t most : {size_t{300'000}, size_t{299'999}, size_t{0}}) {
+    int ends[2];
+    ASSERT_EQ(pipe(ends), 0);
+    std::thread writer([to = ends[1]] {
+      const std::string text(300'000, 'x');
+      EXPECT_GT(write(to, text.data(), text.size()), 0);
+      close(to);
+    });
+    const auto read = read_pipe(ends[0], most);
+    EXPECT_EQ(read.has_value(), most == 300'000) << most;
+    EXPECT_EQ(read.value_or(std::string(300'000, 'x')), std::string(300'000, 'x'));
+    EXPECT_TRUE(read_pipe(ends[0], 1'000'000)) << "the writer ends";
+    writer.join();
+    close(ends[0]);
+  }
 }
 
 }  // namespace

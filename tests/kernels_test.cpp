@@ -184,7 +184,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
   std::normal_distribution<float> normal(0, 1);
   std::vector<std::vector<Float4>> lists(6, std::vector<Float4>(n));
   for (auto& list : lists) {
-    for (Float4& quad : list) quad = {normal(random), normal(random), normal(random), 0};
+    for (Float4& each : list) each = {normal(random), normal(random), normal(random), 0};
   }
   std::vector<std::vector<Float4>> first;
   std::vector<double> numbers;

@@ -108,5 +108,10 @@ TEST(Keys, OfNobodyAreRefused) {
     EXPECT_FALSE(parse_key(key, root)) << key;
 }
 
+TEST(Keys, OfNoSceneAreThoseOfBakedCars) {
+  for (const char* name : {"main", "Asset", "assets", "a", "-"}) EXPECT_TRUE(is_scene(name)) << name;
+  for (const char* name : {"asset", "", "*", "a/b", "asset/"}) EXPECT_FALSE(is_scene(name)) << name;
+}
+
 }  // namespace
 }  // namespace crumple

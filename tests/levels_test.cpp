@@ -1,4 +1,6 @@
 // Levels of a car: what a body keeps when it changes its mesh, and when the world changes it.
+#include "tick/levels.h"
+
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
 
@@ -11,6 +13,8 @@
 #include "car/map_level.h"
 #include "host.h"
 #include "sim/flow.h"
+#include "tick/budget.h"
+#include "tick/hash.h"
 #include "tick/snapshot.h"
 #include "tick/state.h"
 

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import unittest
 
 import numpy as np
@@ -35,6 +36,42 @@ class TheLibrary(unittest.TestCase):
         needed = set(re.findall(r"NEEDED.*\[(.*)\]", output("readelf", "-d", LIBRARY)))
         self.assertIn("libc.so.6", needed)
         self.assertLessEqual(needed, {"libc.so.6", "libm.so.6", "libgcc_s.so.1", "ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1"})
+
+
+class TheReader(unittest.TestCase):
+    def test_unpacks_no_chunk_that_fills_the_memory(self):
+        def write(size, compression, byte):
+            path = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory())) / "bomb.mcap"
+            with path.open("wb") as file:
+                writer = Writer(file, chunk_size=size + 1000, compression=compression)
+                writer.start("crumple", "test")
+                writer.add_metadata("crumple", {"scene": "main", "rate": "60", "program": "test"})
+                channel = writer.register_channel("crumple/1/main/tick", "", writer.register_schema("S", "", b""))
+                writer.add_message(channel, 0, byte(size), 0)
+                writer.finish()
+            return path
+
+        def refused(path):
+            with crumple.Recording(path) as recording, self.assertRaisesRegex(crumple.Error, "a chunk claims to hold"):
+                list(recording.messages())
+
+        noise, zeros = np.random.default_rng(1).bytes, bytes
+        for size, compression, byte in ((1 << 20, CompressionType.ZSTD, zeros), (70 << 20, CompressionType.ZSTD, noise),
+                                        (70 << 20, CompressionType.LZ4, noise), (70 << 20, CompressionType.NONE, noise)):
+            path = write(size, compression, byte)
+            refused(path)
+            if compression is CompressionType.NONE:
+                continue
+            claims = bytearray(path.read_bytes())
+            with path.open("rb") as file:
+                chunk, = make_reader(file).get_summary().chunk_indexes
+            at = chunk.chunk_start_offset + 9 + 16  # two times stand before it
+            claims[at:at + 8] = (1000).to_bytes(8, "little")
+            path.write_bytes(claims)
+            refused(path)
+        for compression in CompressionType.ZSTD, CompressionType.LZ4:
+            with crumple.Recording(write(1 << 20, compression, noise)) as recording:
+                self.assertEqual(len(list(recording.messages())), 1)
 
 
 class ThePackage(WithServer):

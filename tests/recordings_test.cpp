@@ -14,6 +14,7 @@
 #include "io/transport.h"
 #include "program.h"
 #include "schema/message_generated.h"
+#include "tick/health.h"
 #include "tick/surface_update.h"
 
 namespace crumple {
@@ -97,8 +98,9 @@ Contents read(const std::string& path) {
 }
 
 // Copies a recording as long as `change` gives true, which may change a message, and leaves those out whose topic it clears;
-// `program` takes the recorder's place if given.
-void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change) {
+// `program` takes the recorder's place if given; `more` messages follow.
+void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change,
+          const std::vector<Message>& more = {}) {
   Reader* reader = nullptr;
   Recorder* recorder = nullptr;
   EXPECT_EQ(reader_open(from.c_str(), &reader), 0) << transport_error();
@@ -118,9 +120,13 @@ void copy(const std::string& from, const std::string& to, const char* program, c
     recorder_attach(recorder, name, type, data, size);
   reader_close(reader);
   std::map<std::string, int> channels;
+  std::vector<Message> all;
   for (Message& m : read(from).messages) {
     if (!change(m)) break;
-    if (m.topic.empty()) continue;
+    if (!m.topic.empty()) all.push_back(std::move(m));
+  }
+  all.insert(all.end(), more.begin(), more.end());
+  for (const Message& m : all) {
     const auto [channel, fresh] = channels.try_emplace(m.topic);
     if (fresh)
       channel->second = recorder_channel(recorder, m.topic.c_str(),
@@ -395,6 +401,84 @@ TEST_F(Recorded, WhatWasToldIsComparedTooAndTheFirstTickAndKeyThatDifferAreNamed
   });
 }
 
+TEST_F(Recorded, NothingIsPassedOverInSilence) {
+  start_server(path("true.mcap"));
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  listen();
+  spawn(host);
+  // An input that changes nothing: it is refused.
+  ASSERT_EQ(net_put(net, "crumple/1/main/host/stray/poses", "none", 4, NET_DATA), 0);
+  crash(host);
+  if (HasFatalFailure()) return;
+  after(150);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const std::string source = path("true.mcap");
+  const Contents all = read(source);
+  const auto is_stray = [](const Message& message) { return message.topic == "crumple/1/main/host/stray/poses"; };
+  const auto stray = std::find_if(all.messages.begin(), all.messages.end(), is_stray);
+  const auto healthy = std::find_if(all.messages.begin(), all.messages.end(), [](const auto& m) { return m.is("Health"); });
+  ASSERT_TRUE(stray != all.messages.end() && healthy != all.messages.end());
+  const auto verify = [&](const char* name, int code, const std::vector<std::string>& parts, const auto& change,
+                          const std::vector<Message>& more = {}) {
+    copy(source, path(name), nullptr, change, more);
+    const Outcome outcome = run({"replay", path(name), "--verify"});
+    EXPECT_EQ(outcome.code, code) << name << "\n" << outcome.text;
+    for (const std::string& part : parts)
+      EXPECT_NE(outcome.text.find(part), std::string::npos) << name << ": " << part << "\n" << outcome.text;
+  };
+  const auto tick = [](uint32_t number) { return "tick " + std::to_string(number); };
+  const auto nothing = [](Message&) { return true; };
+  verify("same.mcap", 0,
+         {"every tick identical", "; not compared: times, what health says but for cars, hosts and obstacles\n"}, nothing);
+  verify("moved.mcap", 1, {tick(stray->tick) + " differs in host/stray/poses (an input of " + tick(stray->tick + 7) + ")"},
+         [&](Message& message) {
+           if (is_stray(message)) message.tick += 7;
+           return true;
+         });
+  const std::string others = tick(stray->tick) + " differs in its inputs (others were recorded); the world's hash is the same";
+  verify("fewer.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.topic.clear();
+    return true;
+  });
+  verify("another.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.data = "more";
+    return true;
+  });
+  verify("elsewhere.mcap", 1, {others}, [&](Message& message) {
+    if (is_stray(message)) message.topic = "elsewhere";
+    return true;
+  });
+  verify("renamed.mcap", 0, {"; not compared: ", "1 messages of another program, the first on \"elsewhere\""},
+         [health = 0](Message& message) mutable {
+           if (message.is("Health") && health++ == 0) message.topic = "elsewhere";
+           return true;
+         });
+  verify("mistimed.mcap", 1, {tick(healthy->tick) + " differs in health (of another tick or rate)"}, [](Message& message) {
+    if (message.is("Health")) message.tick += 1;
+    return true;
+  });
+  verify("crowded.mcap", 1, {tick(healthy->tick) + " differs in health (another number of cars)"}, [](Message& message) {
+    if (!message.is("Health")) return true;
+    for (const auto* one : *message.as<schema::Health>()->counts())
+      if (one->name()->str() == "cars")
+        ++*const_cast<uint8_t*>(reinterpret_cast<const flatbuffers::Table*>(one)->GetAddressOf(schema::Count::VT_VALUE));
+    return true;
+  });
+  verify("misended.mcap", 1, {tick(healthy->tick) + " differs in tick (of another tick)"}, [&](Message& message) {
+    if (message.is("TickEnd") && message.tick == healthy->tick) message.tick += 1;
+    return true;
+  });
+  Message behind = *stray;
+  behind.tick = all.last_tick() + 1;
+  verify("more.mcap", 1,
+         {"behind the last of them stand 1 messages of a tick that has no end, the first on \"host/stray/poses\""}, nothing,
+         {behind});
+  behind.topic = "crumple/1/main/car/box/delta/0";
+  verify("told.mcap", 1, {"the first on \"car/box/delta/0\""}, nothing, {behind});
+}
+
 TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   start_server(path("true.mcap"));
   Crumple* host = open("tester");
@@ -464,6 +548,7 @@ TEST_F(Recorded, AnOlderRecordingIsVerifiedAsBeforeAndItIsSaid) {
   EXPECT_EQ(outcome.code, 0) << outcome.text;
   EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
   EXPECT_NE(outcome.text.find("by an older program"), std::string::npos) << outcome.text;
+  EXPECT_NE(outcome.text.find(", whether inputs are missing"), std::string::npos) << outcome.text;
 }
 
 TEST_F(Recorded, AKillWithinTheFirstSecondsLosesASecondAtMostAndNothingOfTheHead) {
@@ -577,6 +662,104 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   EXPECT_NE(verified.text.find("lost inputs when it was recorded"), std::string::npos) << verified.text;
 }
 
+// A server whose disk, but for the program and the car, can be made to hang.
+class DiskThatHangs : public Recorded {
+ protected:
+  void SetUp() override {
+#if defined(__SANITIZE_ADDRESS__)
+    GTEST_SKIP() << "its runtime must be the first library";
+#endif
+    Recorded::SetUp();
+    setenv("LD_PRELOAD", CRUMPLE_HANG, 1);  // of the programs that are started here
+    setenv("CRUMPLE_HANG", path("hang").c_str(), 1);
+  }
+  void TearDown() override {
+    unsetenv("LD_PRELOAD");
+    if (!folder.empty()) fs::remove(path("hang"));
+    Recorded::TearDown();
+  }
+  void hang() const { write("hang", ""); }
+};
+
+TEST_F(DiskThatHangs, NoTickWaitsForTheNextFile) {
+  start_server(path("long.mcap"), {"--record-minutes", "0.02"});  // 1.2 s
+  listen();
+  const Health before = after(30);
+  hang();
+  const Health meanwhile = after(before.tick + 180);
+  ASSERT_GE(meanwhile.tick, before.tick + 180);
+  fs::remove(path("hang"));
+  const auto deadline = Clock::now() + patience;
+  while (!fs::exists(path("long-2.mcap")) && Clock::now() < deadline) after(0);
+  after(meanwhile.tick + 60);
+  server->send(SIGTERM);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  uint32_t last = 0;
+  for (const char* name : {"long.mcap", "long-2.mcap"})
+    for (const Message& message : read(path(name)).messages)
+      if (message.is("TickEnd")) {
+        EXPECT_EQ(message.tick, ++last) << name;
+      }
+  EXPECT_GE(last, meanwhile.tick);
+}
+
+TEST_F(DiskThatHangs, AServerEndsInTimeAndSaysThatItsRecordingDoesNot) {
+  start_server(path("open.mcap"));
+  listen();
+  after(90);
+  hang();
+  const auto begun = Clock::now();
+  server->send(SIGTERM);
+  EXPECT_TRUE(server->read_until("open.mcap: the disk has not taken its end within 5 s")) << server->text;
+  EXPECT_EQ(server->wait(), 1) << server->text;
+  EXPECT_LT(Clock::now() - begun, std::chrono::seconds(20)) << "7 s on a machine that does nothing else";
+  fs::remove(path("hang"));
+  const Outcome verified = run({"replay", path("open.mcap"), "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+  EXPECT_NE(verified.text.find("cut off"), std::string::npos) << verified.text;
+}
+
+TEST_F(DiskThatHangs, WhoStandsByTakesOverAllTheSame) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  endpoint = net_endpoint(router.get());
+  std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", endpoint};
+  Process owner(arguments);
+  ASSERT_TRUE(owner.read_until("levels")) << owner.text;
+  arguments.insert(arguments.end(), {"--standby", "--record", path("after.mcap")});
+  Process standby(arguments);
+  ASSERT_TRUE(standby.read_until("holds the world")) << standby.text;
+  hang();
+  owner.send(SIGKILL);
+  ASSERT_TRUE(standby.read_until("takes over")) << standby.text;
+  listen();
+  const uint64_t tick = after(1).tick;
+  EXPECT_GT(after(tick + 60).tick, tick);
+  fs::remove(path("hang"));
+  standby.send(SIGTERM);
+  EXPECT_EQ(standby.wait(), 0) << standby.text;
+  const Outcome verified = run({"replay", path("after.mcap"), "--verify"});
+  EXPECT_EQ(verified.code, 0) << verified.text;
+}
+
+// Of a standby that was never needed.
+TEST_F(Recorded, AFileInWhichNothingBeganIsNotLeft) {
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
+  const std::unique_ptr<Net, decltype(&net_close)> router(opened, net_close);
+  std::vector<std::string> arguments = {"serve", "--car", car_file.string(), "--connect", net_endpoint(router.get())};
+  Process owner(arguments);
+  ASSERT_TRUE(owner.read_until("levels")) << owner.text;
+  arguments.insert(arguments.end(), {"--standby", "--record", path("none.mcap")});
+  Process standby(arguments);
+  ASSERT_TRUE(standby.read_until("holds the world")) << standby.text;
+  EXPECT_TRUE(fs::exists(path("none.mcap")));
+  standby.send(SIGTERM);
+  EXPECT_EQ(standby.wait(), 0) << standby.text;
+  EXPECT_FALSE(fs::exists(path("none.mcap")));
+}
+
 TEST_F(Recorded, GoesOnInNumberedFilesWhereTheNameHasNoTime) {
   write("fixed-2.mcap", "somebody else's");
   const Outcome served = run({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0", "--record",
@@ -639,6 +822,7 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
     if (number["crumple/1/main/tick"] == 0) continue;  // it had just begun
     const Outcome verified = run({"replay", file, "--verify"});
     EXPECT_EQ(verified.code, 0) << verified.text;
+    EXPECT_EQ(count(verified.text, "what hosts had told before"), file == all.front() ? 0u : 1u) << verified.text;
   }
 }
 

@@ -8,6 +8,7 @@
 
 #include "crash.h"
 #include "kernel_body.h"
+#include "tick/hash.h"
 
 namespace crumple {
 namespace {

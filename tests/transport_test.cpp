@@ -17,11 +17,13 @@
 #include <thread>
 #include <vector>
 
+#include "impaired_link.h"
+
 namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 88 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 96 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);
@@ -324,6 +326,71 @@ TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
   EXPECT_GE(ask(client, server, "q/long", "there is room again", 0).size(), 2u);
 }
 
+TEST(Net, HearsWhomItPrefersWhileAnotherFillsAllThatMayWait) {
+  const Session server = open_peer(), flood = open_client(server), known = open_client(server);
+  ASSERT_EQ(net_prefer(server.get(), "t/known,t/silent"), TRANSPORT_OK) << transport_error();
+  ASSERT_EQ(net_subscribe(server.get(), "t/*", 0, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/long", 100, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_TRUE(wait_for_subscriber(flood, "t/0") && wait_for_subscriber(known, "t/known"));
+  for (uint64_t i = 1; i <= 4096; ++i) {
+    ASSERT_EQ(put(flood, ("t/" + std::to_string(i)).c_str(), "x"), TRANSPORT_OK);
+    ASSERT_TRUE(i % 64 != 0 || wait_until(known, [&] { return stats_of(server).received == i; })) << i;
+  }
+  ASSERT_EQ(put(flood, "t/unknown", "x"), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received_dropped == 1; }));
+  ASSERT_EQ(put(known, "t/known", "one"), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received == 4097; })) << "no key is left for it";
+  const std::string data(size_t{60} << 20, 'x');  // five of them are more than 256 MiB
+  uint64_t ticket = 0;
+  for (uint64_t i = 1; i <= 5; ++i) {
+    ASSERT_TRUE(wait_until(known, [&] {
+      return net_get(flood.get(), "q/long", data.data(), data.size(), 30000, &ticket) == TRANSPORT_OK;
+    })) << transport_error();
+    ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).queries + stats_of(server).queries_refused == i; })) << i;
+  }
+  const std::string longer(size_t{20} << 20, 'y');
+  ASSERT_EQ(put(known, "t/known", longer), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received == 4098; })) << "no bytes are left for it";
+  std::string got;
+  for (const Kept& event : poll(server, 0, 5000))
+    if (event.key == "t/known") got += event.data;
+  EXPECT_TRUE(got == longer) << got.size();
+  std::string keys = "t/0";
+  for (int i = 1; i <= 256; ++i) keys += ",t/" + std::to_string(i);
+  EXPECT_EQ(net_prefer(server.get(), keys.c_str()), TRANSPORT_BAD_ARGUMENT);
+  EXPECT_NE(std::string(transport_error()).find("256"), std::string::npos) << transport_error();
+}
+
+TEST(Net, AnAskerThatTakesNothingHoldsUpNoOtherAnswer) {
+  const char* patient =
+      "{transport: {link: {tx: {lease: 60000, queue: {congestion_control: {block: {wait_before_close: 60000000}}}}}}}";
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, patient, 0, &opened), TRANSPORT_OK) << transport_error();
+  const Session server(opened), other = open_client(server);
+  ImpairedLink line(net_endpoint(server.get()), {});
+  ASSERT_EQ(net_open("client", nullptr, line.endpoint().c_str(), patient, connect_ms, &opened), TRANSPORT_OK);
+  const Session frozen(opened);
+  ASSERT_EQ(net_queryable(server.get(), "q/any", 8, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_EQ(ask(other, server, "q/any", "known", 0).size(), 2u);
+  uint64_t ticket = 0;
+  ASSERT_EQ(net_get(frozen.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> first = collect(server, 1);
+  ASSERT_EQ(first.size(), 1u);
+  line.set(LinkState::stalled);
+  ASSERT_EQ(net_get(other.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> second = collect(server, 1);
+  ASSERT_EQ(second.size(), 1u);
+  const std::string more(size_t{60} << 20, 'x');  // than all buffers of a line hold
+  ASSERT_EQ(net_reply(server.get(), first[0].ticket, more.data(), more.size(), 0), TRANSPORT_OK);
+  ASSERT_EQ(net_reply(server.get(), second[0].ticket, "1", 1, 0), TRANSPORT_OK);
+  const std::vector<Kept> answer = collect(other, 1);
+  EXPECT_FALSE(answer.empty()) << "the other one waits until this one's line is given up";
+  line.set(LinkState::up);
+  const std::vector<Kept> whole = collect(frozen, 1);
+  ASSERT_FALSE(whole.empty());
+  EXPECT_EQ(whole[0].data.size(), more.size());
+}
+
 TEST(Net, AnswersEachTicketOnce) {
   const Session server = open_peer(), client = open_client(server);
   ASSERT_EQ(net_queryable(server.get(), "q/once", 4, NET_LONGEST), TRANSPORT_OK);
@@ -411,7 +478,9 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
 // A scene that runs for a month with new cars each second: what they were told under their ids goes with them.
 TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   const Session peer = open_peer();
-  const auto key_of = [](int k) { return "t/" + std::to_string(k) + "/key"; };
+  // In branches of 90: zenoh compares a new key with each that stands beside it, and 8,192 of those take seconds.
+  const auto id = [](int k) { return "t/" + std::to_string(k / 90) + "/" + std::to_string(k % 90) + "/"; };
+  const auto key_of = [&](int k) { return id(k) + "key"; };
   ASSERT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
   int refused = 0, k = 0;
   for (; refused == 0; ++k) refused = put(peer, key_of(k).c_str(), "x");
@@ -420,7 +489,7 @@ TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   EXPECT_EQ(k, NET_KEYS);
   EXPECT_EQ(stats_of(peer).keys, uint64_t(NET_KEYS));
   EXPECT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
-  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), ("t/" + std::to_string(k) + "/").c_str()), TRANSPORT_OK);
+  while (k-- > 0) ASSERT_EQ(net_withdraw(peer.get(), id(k).c_str()), TRANSPORT_OK);
   EXPECT_EQ(stats_of(peer).keys, 1u);
 }
 
@@ -766,6 +835,79 @@ TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
   EXPECT_EQ(read.opened, TRANSPORT_OK);
   EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
   EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 50'000) << "kB";
+}
+
+std::string number(uint64_t value, size_t bytes) { return {reinterpret_cast<const char*>(&value), bytes}; }
+
+// A chunk of records of kind 0x80, which nobody knows, of 100 MiB of zeros each, packed by zstd: 4 bytes give 128 KiB.
+std::string zstd_bomb(int records, uint64_t claimed) {
+  constexpr uint64_t block = 128 << 10, blocks = 800;
+  const auto block_head = [](uint64_t size, uint64_t type, bool last) { return number(size << 3 | type << 1 | last, 3); };
+  std::string packed("\x28\xb5\x2f\xfd\0\x38", 6);  // magic, no size, a window of 128 KiB
+  for (int k = 0; k < records; ++k) {
+    packed += block_head(9, 0, false) + '\x80' + number(block * blocks, 8);
+    for (uint64_t i = 1; i <= blocks; ++i) packed += block_head(block, 1, k == records - 1 && i == blocks) + '\0';
+  }
+  const std::string body =
+      std::string(16, '\0') + number(claimed, 8) + number(0, 4) + number(4, 4) + "zstd" + number(packed.size(), 8) + packed;
+  return '\x06' + number(body.size(), 8) + body;
+}
+
+// 130 kB that keep whoever unpacks them busy for 4 GB, or fill its memory.
+TEST(Recording, AChunkThatGivesFarMoreThanItTakesIsRefusedBeforeItIsUnpacked) {
+  const std::string path = temporary("whole.mcap"), bomb = temporary("bomb.mcap");
+  const std::vector<Entry> written = write_recording(path, 3000, 300);
+  const std::string bytes = read_file(path);
+  const size_t end = chunk_ends(bytes).back().first;
+  constexpr uint64_t record = (100 << 20) + 9;
+  for (const auto& [records, claimed] : {std::pair(40, 40 * record), {1, record}, {1, uint64_t{60} << 20}}) {
+    write_file(bomb, bytes.substr(0, end) + zstd_bomb(records, claimed) + bytes.substr(end));
+    const Recording read = read_recording(bomb);
+    EXPECT_EQ(read.opened, TRANSPORT_OK);
+    EXPECT_EQ(read.ended, TRANSPORT_BAD_FILE);
+    EXPECT_NE(std::string(transport_error())
+                  .find("the chunk at byte " + std::to_string(end) + " claims to hold " + std::to_string(claimed) + " bytes"),
+              std::string::npos)
+        << transport_error();
+    EXPECT_TRUE(read.entries == written) << "what stands before it is sound";
+  }
+}
+
+// What compresses best, LZ4 makes 255 times shorter: the longest that is recorded, of zeros.
+TEST(Recording, WhatItPacksBestItReadsAgain) {
+  const std::string path = temporary("zeros.mcap"), data(size_t{32} << 20, '\0');
+  Recorder* recorder = nullptr;
+  ASSERT_EQ(recorder_open(path.c_str(), "", "", &recorder), TRANSPORT_OK);
+  const int channel = recorder_channel(recorder, "t", recorder_schema(recorder, "S", nullptr, 0));
+  for (uint32_t k = 0; k < 2; ++k)
+    ASSERT_EQ(recorder_write(recorder, channel, k, k, k, data.data(), data.size()), TRANSPORT_OK);
+  ASSERT_EQ(recorder_close(recorder), TRANSPORT_OK);
+  EXPECT_LT(std::filesystem::file_size(path), 2 * data.size() / 240);
+  const Recording read = read_recording(path);
+  EXPECT_EQ(read.ended, 0) << transport_error();
+  ASSERT_EQ(read.entries.size(), 2u);
+  EXPECT_TRUE(read.entries[0].data == data);
+}
+
+// A reader keeps them to the end.
+TEST(Recording, RefusesSchemasThatFillTheMemory) {
+  const std::string path = temporary("schemas.mcap"), schema(size_t{10} << 20, '\0');
+  for (const int distinct : {6, 7}) {
+    Recorder* recorder = nullptr;
+    ASSERT_EQ(recorder_open(path.c_str(), "", "", &recorder), TRANSPORT_OK);
+    for (int k = 0; k < distinct; ++k) {
+      const std::string name = "S" + std::to_string(k);
+      const int channel =
+          recorder_channel(recorder, name.c_str(), recorder_schema(recorder, name.c_str(), schema.data(), schema.size()));
+      ASSERT_EQ(recorder_write(recorder, channel, 0, 0, 0, "x", 1), TRANSPORT_OK);
+    }
+    ASSERT_EQ(recorder_close(recorder), TRANSPORT_OK);
+    const Recording read = read_recording(path);
+    EXPECT_EQ(read.ended, distinct == 6 ? 0 : TRANSPORT_BAD_FILE) << transport_error();
+    EXPECT_EQ(read.entries.size(), 6u);
+  }
+  EXPECT_NE(std::string(transport_error()).find("its schemas and channels take over 64 MiB"), std::string::npos)
+      << transport_error();
 }
 
 TEST(Recording, IsReadableWhileItIsBeingWritten) {

@@ -115,6 +115,7 @@ async function client() {
   let gateway = view(...options, "--listen", "127.0.0.1:0");
   const url = await address(gateway);
   await checkWhoMayAsk(url);
+  await checkBombs();
 
   // The messages of the last pair that gave a surface.
   let came = null, keyframe = null, delta = null;
@@ -220,6 +221,27 @@ function checkFilm(recording, hash) {
   film.seek(film.duration);
   assert.equal(film.cars.size, 0, "a car that was despawned is there");
   assert.throws(() => Film.read(new Uint8Array(1000)));
+}
+
+// A message of zeros, packed by zstd: much of one byte in each chunk's.
+async function checkBombs() {
+  const require = createRequire(pathToFileURL(resolve(web, "package.json"))), { McapWriter, TempBuffer } = require("@mcap/core");
+  const packed = async (data) => {
+    const writable = new TempBuffer();
+    const writer = new McapWriter({ writable, compressChunk: (chunk) => ({ compression: "zstd", compressedData: zstdCompressSync(chunk) }) });
+    await writer.start({ profile: "crumple", library: "test" });
+    const schemaId = await writer.registerSchema({ name: "S", encoding: "", data: new Uint8Array(0) });
+    const channelId = await writer.registerChannel({ schemaId, topic: "t", messageEncoding: "", metadata: new Map() });
+    await writer.addMessage({ channelId, sequence: 0, logTime: 0n, publishTime: 0n, data });
+    await writer.end();
+    return writable.get();
+  };
+  const noise = Uint8Array.from({ length: 1 << 20 }, (_, i) => (Math.imul(i, 2654435761) >>> 24) & 0xff);
+  assert.equal(Film.read(await packed(noise)).duration, 0, "what is no bomb is read");
+  for (const size of [1 << 20, 70 << 20]) {
+    const bomb = await packed(new Uint8Array(size));
+    assert.throws(() => Film.read(bomb), /claims to hold/);
+  }
 }
 
 // The same, written anew by another program: zstd is what such programs take unless told otherwise.

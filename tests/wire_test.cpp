@@ -6,6 +6,7 @@
 #include <random>
 
 #include "host.h"
+#include "tick/levels.h"
 #include "tick/surface_update.h"
 #include "wire/encode.h"
 
@@ -403,13 +404,14 @@ TEST(Encode, AnswersSayWhyNot) {
 TEST(Encode, ABudgetIsReadBack) { EXPECT_EQ(expect_taken<Budget>(encode_budget(1ull << 40)).work, 1ull << 40); }
 
 TEST(Encode, ATickEndIsReadBack) {
-  const Bytes bytes = encode_tick_end({1, 2, 3, 4});
+  const Bytes bytes = encode_tick_end({1, 2, 3, 4, 5});
   TickEnd end;
   ASSERT_FALSE(decode(bytes, end));
   EXPECT_EQ(end.tick, 1u);
   EXPECT_EQ(end.hash, 2u);
   EXPECT_EQ(end.lost_inputs, 3u);
   EXPECT_EQ(end.lost_outputs, 4u);
+  EXPECT_EQ(end.inputs, 5u);
   EXPECT_TRUE(decode(Bytes(5), end));
 }
 

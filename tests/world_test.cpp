@@ -10,6 +10,11 @@
 #include "box_car.h"
 #include "host.h"
 #include "refusal.h"
+#include "tick/budget.h"
+#include "tick/given.h"
+#include "tick/hash.h"
+#include "tick/health.h"
+#include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "tick/state.h"
 

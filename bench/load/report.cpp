@@ -87,7 +87,7 @@ Served read_recording(const Run& run) {
     if (item.channel == Channel::tick_end) out.tick_ns[item.tick] = item.time_ns;
     if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
       const std::string car(item.key.substr(4, item.key.find('/', 4) - 4));
-      const size_t level = level_of(item.key);
+      const size_t level = item.level;
       auto& ticks = told[level][car];
       const bool frame = ticks.empty() || ticks.back() != item.tick;
       if (during && car.front() == 'c') {

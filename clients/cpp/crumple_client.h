@@ -26,6 +26,7 @@ enum CrumpleStatus {
   CRUMPLE_NO_ANSWER = -4,     // the server did not answer in time
   CRUMPLE_UNKNOWN = -5,       // no such car, ticket or asset
   CRUMPLE_NO_MEMORY = -6,     // there was none left
+  CRUMPLE_FAILED = -7,        // something else broke down: crumple_error says what
 };
 
 // The sentence for the last error of this thread. It stays valid until this thread calls the library again.

@@ -28,7 +28,7 @@ CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
   verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network);
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
   verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
   verb.add_option("--id", options.id, "id of the car that it spawns")->check(id)->capture_default_str();
   verb.add_option("--preset", options.preset, "file of parameters, laid over those of the scene; see clients/presets")
@@ -43,7 +43,7 @@ CLI::App& add_watch(CLI::App& app, WatchOptions& options) {
   CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network);
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
   verb.add_option("--level", options.level,
                   "0: for a viewer that is near; 1: for one that is far, coarser and ten times a second")

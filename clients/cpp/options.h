@@ -10,6 +10,12 @@
 
 namespace crumple::client {
 
+inline const CLI::Validator scene(
+    [](std::string& text) -> std::string {
+      return crumple::is_scene(text) ? ""
+                                     : "\"" + text + "\" is not the name of a scene: use " + id_rule + ", but not \"asset\"";
+    },
+    "ID");
 inline const CLI::Validator id(
     [](std::string& text) -> std::string {
       return crumple::is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule;

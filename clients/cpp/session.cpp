@@ -537,7 +537,12 @@ bool given(std::initializer_list<Argument> needed) {
   return true;
 }
 
-int fail_without_memory() noexcept {
+int fail_by(const std::exception* thrown) noexcept {
+  if (!dynamic_cast<const std::bad_alloc*>(thrown) && !dynamic_cast<const std::length_error*>(thrown)) try {
+      last_error = thrown ? thrown->what() : "something was thrown that is no exception of C++";
+      return CRUMPLE_FAILED;
+    } catch (const std::bad_alloc&) {  // there is no room for the sentence
+    }
   last_error.assign("no memory");  // short enough to take none itself
   return CRUMPLE_NO_MEMORY;
 }
@@ -555,6 +560,9 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
       return fail(CRUMPLE_BAD_ARGUMENT, "options.version is not CRUMPLE_CLIENT_VERSION: rebuild with this library's header");
     if (!is_id(options->scene) || (options->host && !is_id(options->host)))
       return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
+    if (!crumple::is_scene(options->scene))
+      return fail(CRUMPLE_BAD_ARGUMENT,
+                  "options.scene is \"asset\", under which the keys of baked cars stand: give another name");
     const char* network = options->network && *options->network ? options->network : nullptr;
     if (network && net_check(network) != 0)
       return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <deque>
+#include <exception>
 #include <initializer_list>
 #include <limits>
 #include <map>
@@ -168,7 +169,8 @@ struct Argument {
 };
 // Whether none is NULL; else the error is set.
 bool given(std::initializer_list<Argument>);
-int fail_without_memory() noexcept;
+// What an exception says is the error; NULL: it is none of C++'s own.
+int fail_by(const std::exception*) noexcept;
 
 // Each function of the header: with a session, with all arguments that it needs, and no exception gets out of the library,
 // since no caller in C or another language could take it.
@@ -176,8 +178,10 @@ template <class Body>
 int guarded(std::initializer_list<Argument> needed, Body body) noexcept {
   try {
     return given(needed) ? static_cast<int>(body()) : CRUMPLE_BAD_ARGUMENT;
-  } catch (...) {  // std::bad_alloc or std::length_error: ours throws nothing else
-    return fail_without_memory();
+  } catch (const std::exception& thrown) {
+    return fail_by(&thrown);
+  } catch (...) {
+    return fail_by(nullptr);
   }
 }
 template <class Body>

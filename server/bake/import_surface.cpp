@@ -19,6 +19,7 @@
 
 #include "bake/text_of.h"
 #include "car/car.h"
+#include "io/files.h"
 
 namespace crumple {
 namespace {
@@ -30,8 +31,11 @@ constexpr size_t most_levels_read = 1000;                  // nodes within nodes
 constexpr uintmax_t largest_input = uintmax_t{512} << 20;  // bytes: a car with its textures in one GLB
 constexpr rlim_t reader_memory = rlim_t{2} << 30;          // bytes: four times the largest input
 constexpr unsigned reader_seconds = 300;                   // the largest input takes seconds
-constexpr double flat_below = 0.01;                        // shortest side over the longest
-constexpr size_t most_parts = 1000;                        // a scan's crumbs, not a body: game cars have one to a few hundred
+// Bytes of what it answers: of a vertex its place and colour, of a triangle its corners, and some counts.
+constexpr size_t most_answer =
+    most_vertices_read * (3 * sizeof(double) + sizeof(uint32_t)) + most_triangles_read * sizeof(Triangle) + 100;
+constexpr double flat_below = 0.01;  // shortest side over the longest
+constexpr size_t most_parts = 1000;  // a scan's crumbs, not a body: game cars have one to a few hundred
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
@@ -197,20 +201,6 @@ bool unpacked(std::string_view text, Flattened& surface) {
   _exit(0);
 }
 
-std::string read_all(int from) {
-  std::string text(1 << 16, '\0');
-  for (size_t size = 0;;) {
-    const ssize_t got = read(from, text.data() + size, text.size() - size);
-    if (got < 0 && errno == EINTR) continue;
-    size += static_cast<size_t>(std::max<ssize_t>(0, got));
-    if (got <= 0) {
-      text.resize(size);
-      return text;
-    }
-    if (size == text.size()) text.resize(2 * size);
-  }
-}
-
 Flattened read_file(const std::filesystem::path& file) {
   const std::string name = file.string();
   std::error_code error;
@@ -226,8 +216,10 @@ Flattened read_file(const std::filesystem::path& file) {
   const pid_t child = fork();
   if (child == 0) read_as_child(name, ends[1]);
   close(ends[1]);
-  const std::string text = child > 0 ? read_all(ends[0]) : "";
+  const std::optional<std::string> answer = child > 0 ? read_pipe(ends[0], most_answer) : "";
   close(ends[0]);
+  if (!answer) kill(child, SIGKILL);  // a broken one
+  const std::string text = answer.value_or("");
   int status = 0;
   while (child > 0 && waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }

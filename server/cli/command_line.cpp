@@ -37,6 +37,14 @@ void on_signal(int signal) {
 const CLI::Validator id(
     [](std::string& text) -> std::string { return is_id(text) ? "" : "\"" + text + "\" is not an id: use " + id_rule; }, "ID");
 
+const CLI::Validator scene(
+    [](std::string& text) -> std::string {
+      if (is_scene(text)) return "";
+      return is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
+                         : "\"" + text + "\" is not an id: use " + id_rule;
+    },
+    "ID");
+
 // A pipe may never end, and to open one waits until somebody writes.
 const CLI::Validator is_file(
     [](std::string& path) -> std::string {
@@ -134,7 +142,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->required()
       ->check(is_file)
       ->type_name("CAR");
-  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(id)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(scene)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
                   "network, by anyone unless --network says who")
@@ -169,6 +177,12 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
           "goes on in another --record file after so long, which begins with the whole world and replays by itself: named by "
           "its time, or with -2, -3, ...; 0: only when the index of one has grown to 32 MiB, or its keys to 32,768")
       ->check(CLI::Range(0.0, 60.0 * 24 * 365))
+      ->capture_default_str();
+  verb.add_option("--record-most", options.record_most,
+                  "gigabytes of all --record files of this run: a quarter of it fills a file, and the oldest are removed; "
+                  "0: all are kept")
+      ->check(CLI::Range(0.0, 1e6))
+      ->type_name("GB")
       ->capture_default_str();
   verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
       ->type_name("HOST:PORT");
@@ -216,7 +230,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
                            ->capture_default_str();
   verb.add_option("--connect", options.connect, "endpoint of the server")->excludes(file)->capture_default_str();
   add_network(verb, options.network, "clients/network.json5");
-  verb.add_option("--scene", options.scene, "name of the server's scene")->check(id)->excludes(file)->capture_default_str();
+  verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->excludes(file)->capture_default_str();
   verb.add_option("--listen", options.listen,
                   "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
                   "phone in the same network, and from whoever else is in it")

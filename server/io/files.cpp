@@ -54,6 +54,21 @@ std::string read_file(const std::filesystem::path& path, size_t most, const std:
   return bytes;
 }
 
+std::optional<std::string> read_pipe(int from, size_t most) {
+  std::string bytes(std::min(most + 1, size_t{1} << 16), '\0');
+  for (size_t size = 0;;) {
+    const ssize_t got = read(from, bytes.data() + size, bytes.size() - size);
+    if (got < 0 && errno == EINTR) continue;
+    size += static_cast<size_t>(std::max<ssize_t>(0, got));
+    if (size > most) return std::nullopt;
+    if (got <= 0) {
+      bytes.resize(size);
+      return bytes;
+    }
+    if (size == bytes.size()) bytes.resize(std::min(most + 1, 2 * size));
+  }
+}
+
 FileWriter::FileWriter(std::filesystem::path path) : path_(std::move(path)), beside_(path_) {
   std::error_code none;
   const auto there = std::filesystem::status(path_, none).type();

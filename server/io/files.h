@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdio>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -16,6 +17,9 @@ inline constexpr size_t text_limit = size_t{16} << 20;
 // Refuses a folder, a pipe and a device, which may never end, and more than `most` bytes, whatever size the file claims: it may
 // be changed while it is read. What is refused so is none of these bytes, and they are the reader's own from then on.
 std::string read_file(const std::filesystem::path&, size_t most, const std::string& remedy);
+
+// What comes through a pipe until its end; nothing where that are more than `most` bytes.
+std::optional<std::string> read_pipe(int from, size_t most);
 
 // Writes beside the file and gives it its name in the end, so that no half file is ever left. Where there is a pipe or a device
 // already it is written to.

@@ -59,6 +59,9 @@ enum { NET_LONGEST = 64 << 20, NET_KEYS = 8192 };  // bytes of a message that a 
 // Otherwise a queue of that many samples over all keys; beyond it, or beyond 4096 keys with depth 0, or beyond 256 MiB of all
 // that waits in this session, new ones are dropped and counted.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth, size_t longest);
+// What comes under these keys, comma separated, 256 at most, waits also where the others fill a subscription of depth 0, or the
+// 256 MiB. They take the place of those before.
+int net_prefer(Net*, const char* keys);
 // Ends every subscription with this very expression. What has arrived before still comes.
 int net_unsubscribe(Net*, const char* key_expression);
 // Queries on these keys arrive by net_poll, at most `depth` waiting; beyond it they are refused, as are those that bring more
@@ -104,7 +107,8 @@ typedef struct NetStats {
   uint64_t put, put_bytes, put_dropped;  // dropped: the session's own queue was full
   uint64_t received, received_bytes, received_dropped, oversized, replaced;
   uint64_t queries, queries_refused;
-  uint64_t keys;  // that it publishes on
+  uint64_t keys;            // that it publishes on
+  uint64_t frames_refused;  // messages of this process's sessions that zenoh.patch refuses
 } NetStats;
 void net_stats(const Net*, NetStats* out);
 
@@ -147,7 +151,8 @@ int web_set(Web*, const char* key, const void* data, size_t size);
 // Whoever comes from now on gets no page whose path and nothing of what is set under keys that begin so; the others are not
 // told.
 int web_forget(Web*, const char* prefix);
-// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, each for 30 s and 30 s.
+// From now on what browsers POST, up to 1 MiB each, waits for web_next: up to 64 that arrive or wait, half of them of one address,
+// each for 30 s and 30 s.
 // Before that they are refused.
 int web_take_requests(Web*);
 typedef struct WebRequest {
@@ -200,8 +205,8 @@ typedef struct ReaderMessage {
   uint64_t log_time_ns, publish_time_ns;
 } ReaderMessage;
 
-// Opens a recording, whole or cut off at any byte (then reader_cut gives 1), whose chunks are plain, LZ4 or zstd; records over
-// 256 MiB are refused.
+// Opens a recording, whole or cut off at any byte (then reader_cut gives 1), whose chunks are plain, LZ4 or zstd. Refused are
+// records over 256 MiB, chunks that hold over 64 MiB or 256 times what they take, and over 64 MiB of schemas and topics.
 int reader_open(const char* path, Reader** out);
 void reader_close(Reader*);
 int reader_cut(const Reader*);

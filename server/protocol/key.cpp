@@ -45,6 +45,8 @@ bool is_id(std::string_view text) {
   return !text.empty() && text.size() <= id_length_limit && std::all_of(text.begin(), text.end(), is_id_character);
 }
 
+bool is_scene(std::string_view text) { return is_id(text) && root_of(text) != asset_root; }
+
 bool is_hash(std::string_view text) { return text.size() == 16 && text.find_first_not_of("0123456789abcdef") == text.npos; }
 
 std::optional<Key> parse_key(std::string_view key) {

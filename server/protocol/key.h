@@ -21,6 +21,8 @@ inline constexpr uint64_t epoch_limit = 1'000'000'000;
 // Of a scene, host, car or server: 1 to 32 characters of a-z A-Z 0-9 _ -
 bool is_id(std::string_view);
 inline constexpr const char* id_rule = "1 to 32 characters of a-z A-Z 0-9 _ -";
+// Of a scene: an id, but not "asset", under which the keys of baked cars stand, which no scene owns.
+bool is_scene(std::string_view);
 // Of a baked car: 16 hexadecimal digits, lower case.
 bool is_hash(std::string_view);
 

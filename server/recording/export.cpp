@@ -114,7 +114,7 @@ void take(const RecordingReader::Item& item, Export& out) {
   if (is_input(item.channel)) return take_input(item, out);
   if (item.channel == Channel::answer) return take_answer(item, out);
   if (item.channel == Channel::reactions) return take_reactions(item, out);
-  if ((item.channel != Channel::keyframe && item.channel != Channel::delta) || level_of(item.key) != 0) return;
+  if ((item.channel != Channel::keyframe && item.channel != Channel::delta) || item.level != 0) return;
   Actor& actor = out.actors[std::string(item.key.substr(4, item.key.find('/', 4) - 4))];
   client::Surface& surface = actor.surface;
   out.appeared |= !actor.shown;

@@ -81,7 +81,7 @@ void follow(Film& film, const RecordingReader::Item& item) {
   if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
     const std::string car(item.key.substr(0, item.key.find('/', 4)));
     const auto [at, fresh] = film.cars.try_emplace(car);
-    client::Surface& surface = at->second[level_of(item.key)];
+    client::Surface& surface = at->second[item.level];
     static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
                                                         : client::apply_delta(item.bytes, surface));
     if (fresh) net_announce(film.net, (film.root + car).c_str());

@@ -1,5 +1,8 @@
 #include "recording/recording.h"
 
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
 #include <algorithm>
 #include <charconv>
 #include <cstring>
@@ -93,6 +96,10 @@ std::string recorded_key(const Message& message) {
   return channel_of(message.key) == Channel::command ? message.key + "/answer" : "";
 }
 
+uint64_t hash_of_input(std::string_view key, const void* data, size_t size) {
+  return XXH3_64bits_withSeed(data, size, XXH3_64bits(key.data(), key.size()));
+}
+
 RecordingEnd end_of(Reader* reader) {
   RecordingEnd end;
   const char* name;
@@ -124,15 +131,15 @@ void write_end(Recorder* recorder, const RecordingEnd& end) {
   when_there_is_room([&] { return recorder_metadata(recorder, end_name, pairs); });
 }
 
-Recording::Recording(const std::string& path, const RecordingHead& head, const RecordingBounds& bounds)
-    : root_(root_of(head.scene)), bounds_(bounds) {
-  need(recorder_open(path.c_str(), "crumple", head.program.c_str(), &recorder_));
-  try {
-    write_head(head);
-  } catch (...) {
-    recorder_close(recorder_);
-    throw;
-  }
+RecorderHandle open_recorder(const std::string& path) {
+  Recorder* recorder = nullptr;
+  need(recorder_open(path.c_str(), "crumple", program_name, &recorder));
+  return RecorderHandle(recorder);
+}
+
+Recording::Recording(RecorderHandle recorder, const RecordingHead& head, const RecordingBounds& bounds)
+    : recorder_(std::move(recorder)), root_(root_of(head.scene)), bounds_(bounds) {
+  write_head(head);
 }
 
 void Recording::write_head(const RecordingHead& head) {
@@ -144,14 +151,14 @@ void Recording::write_head(const RecordingHead& head) {
   std::vector<const char*> pointers;
   for (const std::string& text : pairs) pointers.push_back(text.c_str());
   pointers.push_back(nullptr);
-  need(recorder_metadata(recorder_, head_name, pointers.data()));
+  need(recorder_metadata(recorder_.get(), head_name, pointers.data()));
   for (const auto& car : head.cars)
-    need(recorder_attach(recorder_, car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
+    need(recorder_attach(recorder_.get(), car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
   for (const auto& car : head.given)
-    need(recorder_attach(recorder_, car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
+    need(recorder_attach(recorder_.get(), car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
   for (std::span<const std::byte> rest(head.world); !rest.empty();) {
     const auto piece = rest.first(std::min(rest.size(), world_piece));
-    need(recorder_attach(recorder_, "world", world_media_type, piece.data(), piece.size()));
+    need(recorder_attach(recorder_.get(), "world", world_media_type, piece.data(), piece.size()));
     rest = rest.subspan(piece.size());
   }
 }
@@ -160,14 +167,14 @@ Recording::~Recording() { close(); }
 
 std::string Recording::close() {
   if (!recorder_) return {};
-  write_end(recorder_, end_);
-  const bool good = recorder_close(recorder_) == 0;
-  recorder_ = nullptr;
+  write_end(recorder_.get(), end_);
+  const bool good = recorder_close(recorder_.release()) == 0;
   return good ? "" : transport_error();
 }
 
 bool Recording::full() const {
-  return channels_.size() >= bounds_.next_channels || recorder_index(recorder_) >= bounds_.next_index;
+  return channels_.size() >= bounds_.next_channels || recorder_index(recorder_.get()) >= bounds_.next_index ||
+         bytes_ >= bounds_.next_bytes;
 }
 
 int Recording::refuse(const std::string& why) {
@@ -185,18 +192,18 @@ int Recording::id_of(const std::string& key, Channel channel) {
   auto schema = schemas_.find(table);
   if (schema == schemas_.end()) {
     const auto length = static_cast<size_t>(message_schema_end - message_schema);
-    const int id = recorder_schema(recorder_, table, message_schema, length);
+    const int id = recorder_schema(recorder_.get(), table, message_schema, length);
     if (id < 0) return refuse(transport_error());
     schema = schemas_.emplace(table, id).first;
   }
-  const int id = recorder_channel(recorder_, (root_ + key).c_str(), schema->second);
+  const int id = recorder_channel(recorder_.get(), (root_ + key).c_str(), schema->second);
   if (id < 0) return refuse(transport_error());
   return channels_.emplace(key, id).first->second;
 }
 
 bool Recording::write(const std::string& key, Channel channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size) {
   int id = TRANSPORT_DROPPED;
-  if (recorder_index(recorder_) < bounds_.most_index)
+  if (recorder_index(recorder_.get()) < bounds_.most_index)
     id = id_of(key, channel);
   else
     refuse("its index takes " + std::to_string(bounds_.most_index >> 20) +
@@ -205,17 +212,19 @@ bool Recording::write(const std::string& key, Channel channel, uint64_t tick, ui
     ++refused_;
     return false;
   }
-  if (recorder_write(recorder_, id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) < 0) {
+  if (recorder_write(recorder_.get(), id, static_cast<uint32_t>(tick), time_ns, time_ns, data, size) < 0) {
     refuse(transport_error());
     return false;
   }
   ++end_.messages;
+  bytes_ += size;
   return true;
 }
 
 void Recording::input(uint64_t tick, const Message& message, uint64_t time_ns) {
   const Channel channel = channel_of(message.key);
   if (!is_input(channel)) return;
+  inputs_ += hash_of_input(message.key, message.bytes.data(), message.bytes.size());
   lost_inputs_ += !write(message.key, channel, tick, time_ns, message.bytes.data(), message.bytes.size());
 }
 
@@ -228,9 +237,9 @@ void Recording::output(uint64_t tick, const Message& message, uint64_t time_ns) 
 }
 
 void Recording::end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns) {
-  const Bytes end = encode_tick_end({tick, hash, lost_inputs_, lost_outputs_});
+  const Bytes end = encode_tick_end({tick, hash, lost_inputs_, lost_outputs_, inputs_});
   if (!write("tick", Channel::tick_end, tick, time_ns, end.data(), end.size())) return;
-  lost_inputs_ = lost_outputs_ = 0;
+  lost_inputs_ = lost_outputs_ = inputs_ = 0;
   ++end_.ticks;
 }
 
@@ -269,8 +278,9 @@ void RecordingReader::read_metadata() {
     bool good = read_number(values["rate"], head_.rate) && read_number(values["quantum"], head_.quantum);
     good &= head_.rate >= 1 && head_.rate <= 1000 && head_.quantum > 0;
     visit_limits(head_.limits, [&](const char* key, auto& value) { good &= read_number(values[key], value); });
+    good &= is_scene(head_.scene);
     if (!good)
-      throw std::runtime_error(path_ + ": its metadata lacks the rate, the quantum or a limit: it was recorded by " +
+      throw std::runtime_error(path_ + ": its metadata lacks the scene, the rate, the quantum or a limit: it was recorded by " +
                                head_.program + ", this is " + program_name + ": use that one");
     root_ = root_of(head_.scene);
     return;
@@ -284,11 +294,13 @@ bool RecordingReader::next(Item& item) {
   need(status);
   if (status == 0) return false;
   item.key = message.topic;
-  item.channel = Channel::other;
+  Key key;
   if (item.key.starts_with(root_)) {
     item.key.remove_prefix(root_.size());
-    item.channel = channel_of(item.key);
+    key = parse_key(item.key).value_or(Key{});
   }
+  item.channel = key.channel;
+  item.level = key.number;
   item.bytes = {message.data, message.size};
   item.tick = message.sequence;
   item.time_ns = message.log_time_ns;

@@ -53,12 +53,13 @@ struct RecordingHead {
 
 // Of a key below the scene's root; `other` is none of ours.
 inline Channel channel_of(std::string_view key) { return parse_key(key).value_or(Key{}).channel; }
-// Of the key of a keyframe or delta: its surface level.
-inline size_t level_of(std::string_view key) { return size_t(key.back() - '0'); }
 // Its table's name in the schema; "" for other.
 const char* table_of(Channel);
 // Under which key a recording has a message that a tick gives; "": it has none of its kind.
 std::string recorded_key(const Message&);
+
+// Of an input, for TickEnd.inputs.
+uint64_t hash_of_input(std::string_view key, const void* data, size_t size);
 
 // What a recording says of itself when it is closed.
 struct RecordingEnd {
@@ -90,13 +91,20 @@ int when_there_is_room(Step step) {
 struct RecordingBounds {
   size_t next_channels = 32'768, most_channels = 60'000;
   uint64_t next_index = uint64_t{32} << 20, most_index = uint64_t{64} << 20;  // bytes, channels included
+  uint64_t next_bytes = UINT64_MAX;                                           // of messages, before they are packed
 };
 
-// Writes one. Never waits: what the writer's queue cannot take is counted as lost.
+struct CloseRecorder {
+  void operator()(Recorder* recorder) const { recorder_close(recorder); }
+};
+using RecorderHandle = std::unique_ptr<Recorder, CloseRecorder>;
+// Creates the file, for which it waits for the disk. Throws std::runtime_error if it cannot be created.
+RecorderHandle open_recorder(const std::string& path);
+
+// Writes one. Never waits but when it is closed: what the writer's queue cannot take is counted as lost.
 class Recording {
  public:
-  // Throws std::runtime_error if the file cannot be created.
-  Recording(const std::string& path, const RecordingHead&, const RecordingBounds& = {});
+  Recording(RecorderHandle, const RecordingHead&, const RecordingBounds& = {});
   ~Recording();
   Recording(const Recording&) = delete;
   Recording& operator=(const Recording&) = delete;
@@ -105,11 +113,11 @@ class Recording {
   void output(uint64_t tick, const Message&, uint64_t time_ns);
   void end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns);
   bool full() const;
-  uint64_t lost() const { return recorder_lost(recorder_) + refused_; }
+  uint64_t lost() const { return recorder_lost(recorder_.get()) + refused_; }
   // The reason why a message was lost first, or "".
   const std::string& why_lost() const { return why_lost_; }
   // The sentence of the trouble that ended the recording early, or "".
-  std::string trouble() const { return recorder_trouble(recorder_); }
+  std::string trouble() const { return recorder_trouble(recorder_.get()); }
   // Writes what waits, and its end. Gives the sentence of the first trouble, or "".
   std::string close();
 
@@ -119,14 +127,16 @@ class Recording {
   bool write(const std::string& key, Channel, uint64_t tick, uint64_t time_ns, const void* data, size_t size);
   int refuse(const std::string& why);
 
-  Recorder* recorder_ = nullptr;
+  RecorderHandle recorder_;
   std::string root_;
   RecordingBounds bounds_;
   RecordingEnd end_;
   std::map<std::string, int, std::less<>> channels_;  // by key
   std::map<std::string, int, std::less<>> schemas_;   // by table
+  uint64_t bytes_ = 0;                                // of messages
   uint64_t refused_ = 0;                              // messages lost before they came to the recorder
   uint64_t lost_inputs_ = 0, lost_outputs_ = 0;       // of the tick being recorded
+  uint64_t inputs_ = 0;                               // of it: the sum of their hashes
   std::string why_lost_;
 };
 
@@ -147,6 +157,7 @@ class RecordingReader {
 
   struct Item {
     Channel channel = Channel::other;
+    size_t level = 0;      // of a keyframe or delta
     std::string_view key;  // below the scene's root
     std::span<const uint8_t> bytes;
     uint32_t tick = 0;

@@ -8,6 +8,9 @@
 
 #include "recording/film.h"
 #include "recording/recording.h"
+#include "schema/message_generated.h"
+#include "tick/hash.h"
+#include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "wire/decode.h"
 
@@ -21,6 +24,10 @@ struct Verdict {
   uint64_t lost = 0;                       // first tick before whose end something is not in the file; 0: none
   uint64_t outputs_lost = 0, lost_in = 0;  // messages that ticks gave and the file does not have; in which tick first
   uint64_t messages = 0;                   // in the file
+  // Not compared:
+  bool health = false, before = false, inputs = false;  // before: what hosts told before the first tick; inputs: of old files
+  uint64_t others = 0, behind = 0;                      // on other programs' keys; after the last TickEnd
+  std::string first_other, first_behind;
 };
 
 // A message that a tick gave.
@@ -67,6 +74,32 @@ bool is_told(Channel channel) {
   return !is_input(channel) && channel != Channel::health && channel != Channel::tick_end && channel != Channel::other;
 }
 
+// What health says and the world knows; the rest is of the machine and the network. "": the same.
+std::string difference_in_health(const RecordingReader::Item& item, World& world, double rate) {
+  flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
+  if (!verifier.VerifyBuffer<schema::Health>(nullptr)) return "health (damaged)";
+  const auto* said = flatbuffers::GetRoot<schema::Health>(item.bytes.data());
+  const uint64_t now = tick_count(world);
+  if (said->tick() != now || item.tick != uint32_t(now) || said->rate() != float(rate))
+    return "health (of another tick or rate)";
+  const Message known = health(world, 0, {});
+  for (const auto* of_world : *flatbuffers::GetRoot<schema::Health>(known.bytes.data())->counts()) {
+    const std::string_view name = of_world->name()->string_view();
+    if (name != "cars" && name != "hosts" && name != "obstacles") continue;
+    const auto same = [&](const schema::Count* one) {
+      return one->name() && one->name()->string_view() == name && one->value() == of_world->value();
+    };
+    if (!said->counts() || std::none_of(said->counts()->begin(), said->counts()->end(), same))
+      return "health (another number of " + std::string(name) + ")";
+  }
+  return "";
+}
+
+void differ(Verdict& verdict, uint64_t tick, std::string how) {
+  verdict.differs = tick;
+  verdict.how = std::move(how);
+}
+
 void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, Verdict& verdict) {
   const RecordingHead& head = file.head();
   const WorldHandle world = make_world(head.rate, head.quantum, head.limits);
@@ -75,41 +108,73 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
   Inbox inbox;
   Outbox outbox;
   std::vector<Told> given, recorded;
+  uint64_t inputs = 0;  // the sum of their hashes
   shown(*world, outbox);
   add_told(outbox, tick_count(*world), given);
   for (RecordingReader::Item item; !stop && file.next(item);) {
     ++verdict.messages;
     const auto bytes = std::as_bytes(item.bytes);
+    const uint64_t now = tick_count(*world), next = now + 1;
+    if (item.channel != Channel::tick_end && item.channel != Channel::health && verdict.behind++ == 0)
+      verdict.first_behind = item.key;
+    if (is_input(item.channel)) inputs += hash_of_input(item.key, item.bytes.data(), item.bytes.size());
     if (is_told(item.channel)) {
       recorded.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.tick});
-    } else if (is_input(item.channel) && item.tick == uint32_t(tick_count(*world) + 1)) {
+    } else if (is_input(item.channel) && item.tick == uint32_t(next)) {
       // Any ticket will do: it only asks for an answer.
       inbox.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.channel == Channel::command ? 1u : 0u});
+    } else if (is_input(item.channel)) {
+      verdict.before = verdict.identical == 0 && !head.world.empty() && item.tick == uint32_t(now);
+      if (!verdict.before)
+        return differ(verdict, next, " in " + std::string(item.key) + " (an input of tick " + std::to_string(item.tick) + ")");
+    } else if (item.channel == Channel::health) {
+      verdict.health = true;
+      const std::string key = difference_in_health(item, *world, head.rate);
+      if (!key.empty()) return differ(verdict, now, " in " + key);
+    } else if (item.channel == Channel::other) {
+      if (verdict.others++ == 0) verdict.first_other = item.key;
     } else if (item.channel == Channel::tick_end) {
       TickEnd end;
       if (decode(bytes, end)) throw std::runtime_error("a TickEnd is damaged");
-      if (end.lost_inputs > 0 || end.tick != tick_count(*world) + 1) {
+      if (end.lost_inputs > 0 || end.tick != next) {
         verdict.lost = end.tick;
         return;
       }
+      if (item.tick != uint32_t(next)) return differ(verdict, next, " in tick (of another tick)");
       tick(*world, inbox, outbox, threads);
       inbox.clear();
       add_told(outbox, end.tick, given);
-      const std::string key = difference(given, recorded, end.lost_outputs);
+      std::string key = difference(given, recorded, end.lost_outputs);
+      if (key.empty() && end.inputs != 0 && end.inputs != inputs) key = "its inputs (others were recorded)";
+      verdict.inputs |= inputs != 0 && end.inputs == 0;
+      inputs = 0;
       given.clear();
       recorded.clear();
       const bool same = hash(*world) == end.hash;
-      if (!same || !key.empty()) {
-        verdict.differs = end.tick;
-        verdict.how = key.empty() ? "" : " in " + key;
-        verdict.how += same ? "; the world's hash is the same" : "; the world's hash is another";
-        return;
-      }
+      if (!same || !key.empty())
+        return differ(
+            verdict, end.tick,
+            (key.empty() ? "" : " in " + key) + (same ? "; the world's hash is the same" : "; the world's hash is another"));
       if (end.lost_outputs > 0 && verdict.outputs_lost == 0) verdict.lost_in = end.tick;
       verdict.outputs_lost += end.lost_outputs;
       ++verdict.identical;
+      verdict.behind = 0;
     }
   }
+}
+
+std::string not_compared(const Verdict& verdict) {
+  std::string out = "; not compared: times";
+  if (verdict.health) out += ", what health says but for cars, hosts and obstacles";
+  if (verdict.before) out += ", what hosts had told before";
+  if (verdict.inputs) out += ", whether inputs are missing";
+  if (verdict.others > 0)
+    out +=
+        ", " + std::to_string(verdict.others) + " messages of another program, the first on " + printable(verdict.first_other);
+  if (verdict.behind > 0)
+    out += ", " + std::to_string(verdict.behind) + " messages of a tick whose end is not in the file, the first on " +
+           printable(verdict.first_behind);
+  return out;
 }
 
 // One sentence; good: nothing is wrong, as far as the file goes.
@@ -131,17 +196,21 @@ std::string sentence_of(const RecordingReader& file, const Verdict& verdict, con
   if (trouble.empty() && verdict.outputs_lost > 0)
     trouble = "of what they gave " + std::to_string(verdict.outputs_lost) +
               " messages were lost when it was recorded, the first in tick " + std::to_string(verdict.lost_in);
+  if (trouble.empty() && verdict.behind > 0 && !file.cut())
+    trouble = "behind the last of them stand " + std::to_string(verdict.behind) +
+              " messages of a tick that has no end, the first on " + printable(verdict.first_behind);
   good = trouble.empty();
   if (!good || file.cut())
     return "the first " + ticks + (end.ticks > verdict.identical ? " of " + std::to_string(end.ticks) : "") +
            " ticks are identical" + time + "; " +
-           (good ? "the file was cut off, or is still being written: what followed is not in it" : trouble);
+           (good ? "the file was cut off, or is still being written: what followed is not in it" + not_compared(verdict)
+                 : trouble);
   std::string note;
   if (end.recovered)
     note = "; recovered: what else there was when it was recorded is not in it";
   else if (!end.there)
     note = "; recorded by an older program: what may be missing at its end cannot be seen";
-  return "every tick identical: " + ticks + " ticks" + time + note;
+  return "every tick identical: " + ticks + " ticks" + time + note + not_compared(verdict);
 }
 
 bool verify_file(const std::string& path, int threads, const std::atomic<bool>& stop) {

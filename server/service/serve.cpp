@@ -25,6 +25,11 @@
 #include "schema/message_generated.h"
 #include "service/metrics.h"
 #include "service/standby.h"
+#include "tick/budget.h"
+#include "tick/given.h"
+#include "tick/hash.h"
+#include "tick/health.h"
+#include "tick/levels.h"
 
 namespace crumple {
 namespace {
@@ -130,19 +135,19 @@ void start_world(Server& server) {
   set_clock(*server.world, [start = Clock::now()] { return std::chrono::duration<double>(Clock::now() - start).count(); });
 }
 
-// From here on; what the world holds already goes in front. Who stands by begins twice: that it could not record should show
-// before it is needed.
-void start_recording(Server& server) {
+// Who stands by opens its file at once too: that it could not record should show before it is needed, and when it takes over
+// no disk may hold it up.
+void open_recording(Server& server) {
   const ServeOptions& options = server.options;
   if (options.record.empty()) return;
-  server.recording.reset();
   SeriesOptions series{options.record, options.record_minutes, {}};
+  if (options.record_most > 0) series.most = static_cast<uint64_t>(1e9 * options.record_most);
   series.head.scene = options.scene;
   series.head.rate = options.rate;
   series.head.quantum = static_cast<float>(1e-3 * options.quantum_mm);
   series.head.cars = server.cars;
   series.tell = [](const std::string& sentence) { std::fprintf(stderr, "crumple serve: %s\n", sentence.c_str()); };
-  server.recording = std::make_unique<Series>(std::move(series), *server.world, server.latest, Clock::now());
+  server.recording = std::make_unique<Series>(std::move(series), *server.world, server.latest);
 }
 
 // Whether one of the endpoints can be reached from another machine.
@@ -212,6 +217,10 @@ void forget_hosts(Server& server) {
     if (!std::binary_search(now.begin(), now.end(), host))
       net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
   server.latest.forget_others(now);
+  std::string keys;  // of those who are known: a flood of others must not deafen the server to them
+  for (const std::string& host : now)
+    for (const char* what : {"/poses", "/obstacles"}) keys += (keys.empty() ? "" : ",") + server.root + "host/" + host + what;
+  need(net_prefer(server.net, keys.c_str()));
   server.heard = std::move(now);
   server.newcomers = 0;
 }
@@ -375,6 +384,7 @@ void publish_health(Server& server) {
                                  {"keys_published", stats.keys, NET_KEYS},
                                  {"oversized", stats.oversized},
                                  {"keys_refused", server.keys_refused},
+                                 {"frames_refused", stats.frames_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
                                  {"recording_lost", server.recording ? server.recording->lost() : 0}});
@@ -446,7 +456,7 @@ void take_over(Server& server) {
   renew(*server.world);
   if (server.pace.limit == 0) server.inbox.push_back(budget_message(0));  // not the limit of the other
   try {
-    start_recording(server);
+    if (server.recording) server.recording->begin(Clock::now());
   } catch (const std::exception& error) {
     server.recording.reset();
     std::fprintf(stderr, "crumple serve: %s; goes on without\n", error.what());
@@ -490,7 +500,8 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
     if (work > 0) server.pace.visit = std::chrono::duration<double>(Clock::now() - begun).count() / double(work);
     open_network(server);
     if (!options.standby && !become_owner(server, stop)) return 0;
-    start_recording(server);
+    open_recording(server);
+    if (server.recording && !options.standby) server.recording->begin(Clock::now());
   }
   print_start(server);
   if (options.check) return 0;

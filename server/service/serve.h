@@ -21,6 +21,7 @@ struct ServeOptions {
   double quantum_mm = 0.5;
   std::string record;         // file, with the start's time (UTC) for %F and the like; empty: none
   double record_minutes = 0;  // then goes on in a file of its own, named anew; 0: all in one
+  double record_most = 0;     // GB of its files together, beyond which the oldest go; 0: all are kept
   std::string metrics;        // HOST:PORT for Prometheus; empty: none
   double seconds = 0;         // ends after these; 0: by SIGINT or SIGTERM
   bool check = false;         // only says whether all this is good

@@ -3,6 +3,8 @@
 // Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the solver (two of
 // them) at a time, and then half of the sub-steps where the mesh is too coarse to show them. Law: under the budget every car
 // makes what it likes.
+#include "tick/budget.h"
+
 #include <algorithm>
 #include <cmath>
 

@@ -1,6 +1,10 @@
 // Commands on a car: spawn, despawn, repair, parameters, save, load, replace. Each is done whole or refused with a sentence.
+#include "tick/commands.h"
+
 #include <algorithm>
 
+#include "tick/given.h"
+#include "tick/inbox.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 

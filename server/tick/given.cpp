@@ -1,5 +1,7 @@
 // Baked cars that came while the world runs: a car that was painted anew is driven without a new server. They are no levels of
 // others, so that what lives is not changed by what comes.
+#include "tick/given.h"
+
 #include <algorithm>
 
 #include "tick/state.h"

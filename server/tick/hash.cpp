@@ -1,6 +1,8 @@
 // The hash of everything that the next tick depends on: two runs are the same if theirs are. What is large (body, surfaces) is
 // hashed where it changes, by the worker that changed it.
 #define XXH_INLINE_ALL
+#include "tick/hash.h"
+
 #include <xxhash.h>
 
 #include <cstring>

@@ -1,4 +1,6 @@
 // What the server tells about itself: times of its rooms, counts against their limits, refusals by reason.
+#include "tick/health.h"
+
 #include <algorithm>
 #include <cmath>
 

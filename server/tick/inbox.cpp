@@ -1,9 +1,14 @@
 // The messages of a tick, in the order they came. A bad one is refused whole, counted, answered if it was a query, and leaves
 // the world as it was.
+#include "tick/inbox.h"
+
 #include <algorithm>
 #include <stdexcept>
 
 #include "protocol/asset.h"
+#include "tick/commands.h"
+#include "tick/given.h"
+#include "tick/health.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 

@@ -2,9 +2,12 @@
 // something comes near the car: until then no level costs anything, and a dent that is left alone loses no detail. Where what
 // may be hit would ask for more than the tick's budget, cars go to coarser levels than that, those first that cost most for
 // their importance: a coarse mesh that is solved is nearer to the truth than a fine one that is not.
+#include "tick/levels.h"
+
 #include <algorithm>
 
 #include "car/map_level.h"
+#include "tick/budget.h"
 #include "tick/state.h"
 
 namespace crumple {

@@ -10,6 +10,7 @@
 #include <stdexcept>
 
 #include "tick/fields.h"
+#include "tick/given.h"
 #include "wire/check.h"
 
 namespace crumple {

@@ -121,41 +121,8 @@ struct World {
   tbb::enumerable_thread_specific<Worker> workers;
 };
 
-// A query for a keyframe, answered when the tick is done.
-struct Asked {
-  std::string key, car;
-  size_t level;
-  uint64_t ticket;
-};
-
-// Levels of an asset; null where it is unknown.
-const Levels* find_asset(const World&, const std::string& hash);
-// One more that may be spawned (given.cpp).
-[[nodiscard]] Verdict give(World&, std::shared_ptr<const Car>);
-// Takes the messages in, in order (inbox.cpp).
-void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
-// One command (commands.cpp). state: the answer to Save.
-[[nodiscard]] Verdict obey(World&, const std::string& car, Order&&, Bytes& state);
-// The host of this id, new where there was none; null where there are too many.
-Host* find_or_add_host(World&, const std::string& id);
-// Drops a host that has nothing left.
-void release_host(World&, const std::string& id);
-// What comes near the car, so that it may change its level; woken: in this very tick (levels.cpp).
-void look_ahead(const World&, Instance&, bool woken);
-// Those that change their level now: to the one that the importance asks for, or a coarser one that the budget has room for.
-std::vector<Instance*> choose_levels(const World&, const std::vector<Instance*>&);
-void change_level(const World&, Instance&, Worker&);
-// What a tick of a car has come to, in tet visits, and what it would come to if it crashed on this level (budget.cpp).
-double work_of(const Model&, const Response&);
-double crash_work(const World&, const Instance&, const Car& level);
-// How many sub-steps and sweeps each car may make in this tick (budget.cpp).
-void ration(World&, const std::vector<Instance*>&);
-// Its viewers are told of it anew in the next tick.
+// Viewers are told of the car anew in the next tick.
 void renew(Instance&);
-// Counts a refusal (health.cpp).
-void count(World&, const Refusal&);
-// Answers a query with a refusal; samples get no answer.
-void answer(const World&, const std::string& key, uint64_t ticket, const Verdict&, const Bytes& state, bool failed, Outbox&);
 
 // Seconds from construction to destruction, added to a room's time; nothing without a clock.
 struct Watch {

@@ -9,6 +9,10 @@
 #include <utility>
 
 #include "sim/skin.h"
+#include "tick/budget.h"
+#include "tick/health.h"
+#include "tick/inbox.h"
+#include "tick/levels.h"
 #include "tick/state.h"
 #include "wire/encode.h"
 

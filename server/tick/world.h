@@ -32,15 +32,6 @@ using WorldHandle = std::unique_ptr<World, WorldDeleter>;
 
 // rate: ticks a second. quantum: of the surface, m.
 WorldHandle make_world(double rate, float quantum, const Limits& = {});
-// A car that may be spawned from now on; to be called between ticks. Assets with the same surface are levels of one car.
-void add_asset(World&, std::shared_ptr<const Car>);
-// Bytes of one that comes by a message: one of 20,000 nodes has them.
-inline constexpr size_t given_most = size_t{8} << 20;
-// Those that came by messages ("asset"). A tick that takes one of 5,000 nodes is some 5 ms longer.
-std::vector<std::shared_ptr<const Car>> given_cars(const World&);
-// How many levels below it an asset has.
-size_t coarser_levels(const World&, const std::string& asset);
-
 // Lets every worker of the tick crash a car of each asset that nobody keeps: the memory that it takes is there before the first
 // tick that needs it, which would be twice as long otherwise. No influence on the outcome. Returns the work that it did, as of
 // Work::done: timed the second time, it says how fast this machine is.
@@ -61,12 +52,6 @@ struct TickResult {
 
 // One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
 TickResult tick(World&, const Inbox&, Outbox&, int threads);
-// An input that sets the budget of the ticks from then on: tet visits a tick; 0: none. Only the program sends it: the world
-// knows no clock, and so what it is measured by is recorded like all inputs.
-Message budget_message(uint64_t visits);
-
-// Everything that the next tick depends on. The same after the same inboxes, for any thread count.
-uint64_t hash(const World&);
 // Viewers are told of every car anew in the next tick: a server has taken over.
 void renew(World&);
 // The keyframes of all cars that the next deltas refer to: samples.
@@ -76,18 +61,8 @@ std::vector<std::string> cars(const World&);
 std::vector<std::string> hosts(const World&);
 // Ticks done. The first is 1, so that 0 can stand for none.
 uint64_t tick_count(const World&);
-
-// Times in health come from the caller's clock (seconds since any start; several threads ask it at once); none: no times.
+// Times in health come from this clock: seconds since any start; several threads ask it at once. Without one there are no
+// times.
 void set_clock(World&, std::function<double()> clock);
-// Health (key "health"): times of the ticks since the last call, counts and refusals since the start. late: ticks that the
-// caller could not start in time. more_counts: the caller's own, such as what the transport dropped.
-struct MoreCount {
-  std::string name;
-  uint64_t value, limit = 0;  // limit 0: none
-};
-Message health(World&, uint64_t late, const std::vector<MoreCount>& more_counts);
-// Refusals since the start, and the sentence of the last one: for the log of whoever runs the server.
-uint64_t refusal_count(const World&);
-const std::string& last_refusal(const World&);
 
 }  // namespace crumple

@@ -288,7 +288,7 @@ Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
   const Limits limits;
   Checker check{limits};
   if (const auto* from = checked<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {
-    out = {from->tick(), from->hash(), from->lost_inputs(), from->lost_outputs()};
+    out = {from->tick(), from->hash(), from->lost_inputs(), from->lost_outputs(), from->inputs()};
   }
   return check.refusal;
 }

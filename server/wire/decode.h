@@ -85,7 +85,7 @@ struct GivenAsset {
 
 // Of a recording.
 struct TickEnd {
-  uint64_t tick = 0, hash = 0, lost_inputs = 0, lost_outputs = 0;
+  uint64_t tick = 0, hash = 0, lost_inputs = 0, lost_outputs = 0, inputs = 0;
 };
 [[nodiscard]] Verdict decode(std::span<const std::byte>, TickEnd&);
 

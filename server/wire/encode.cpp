@@ -85,7 +85,7 @@ Bytes encode_state(const std::string& asset, const Body& body) {
 
 Bytes encode_tick_end(const TickEnd& end) {
   flatbuffers::FlatBufferBuilder builder(64);
-  return finish(builder, schema::CreateTickEnd(builder, end.tick, end.hash, end.lost_inputs, end.lost_outputs));
+  return finish(builder, schema::CreateTickEnd(builder, end.tick, end.hash, end.lost_inputs, end.lost_outputs, end.inputs));
 }
 
 Bytes encode_budget(uint64_t work) {

@@ -6,6 +6,8 @@
 #include "bake/load_car.h"
 #include "fuzz/small_world.h"
 #include "host.h"
+#include "tick/health.h"
+#include "tick/levels.h"
 
 namespace crumple::fuzz {
 

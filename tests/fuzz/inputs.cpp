@@ -3,6 +3,8 @@
 #include "host.h"
 #include "recording/recording.h"
 #include "service/standby.h"
+#include "tick/budget.h"
+#include "tick/health.h"
 
 namespace crumple::fuzz {
 

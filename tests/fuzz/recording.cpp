@@ -11,6 +11,9 @@
 #include "recording/export.h"
 #include "recording/recover.h"
 #include "recording/replay.h"
+#include "tick/budget.h"
+#include "tick/hash.h"
+#include "tick/health.h"
 #include "tick/snapshot.h"
 
 namespace crumple::fuzz {
@@ -152,7 +155,7 @@ void record(const std::string& path, bool begun) {
   head.limits.hosts = 3;
   head.cars = {fine_car(), coarse_car()};
   if (begun) head.world = save_world(*world);
-  Recording recording(path, head);
+  Recording recording(open_recorder(path), head);
   Outbox outbox;
   shown(*world, outbox);
   for (const Message& message : outbox) recording.output(tick_count(*world), message, 0);

@@ -6,6 +6,7 @@
 
 #include "fuzz/small_world.h"
 #include "host.h"
+#include "tick/health.h"
 #include "tick/state.h"
 
 namespace crumple::fuzz {

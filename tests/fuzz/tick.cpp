@@ -1,6 +1,7 @@
 // What hosts and viewers send, as messages into the ticks of a small world.
 #include "fuzz/small_world.h"
 #include "host.h"
+#include "tick/health.h"
 #include "wire/encode.h"
 
 namespace crumple::fuzz {

@@ -650,6 +650,9 @@ int net_subscribe(Net* session, const char* expression, uint32_t depth, size_t l
   return TRANSPORT_OK;
 }
 
+// No bound of what waits is met here.
+int net_prefer(Net*, const char*) { return TRANSPORT_OK; }
+
 int net_unsubscribe(Net* session, const char* expression) {
   if (const int status = call(session, 4)) return status;
   const auto same = [name = std::string(expression)](const SourceHandle& each) { return each->expression == name; };

@@ -14,6 +14,7 @@
 #include "schema/message_generated.h"
 #include "service/serve.h"
 #include "service/standby.h"
+#include "tick/hash.h"
 #include "tick/state.h"
 
 namespace crumple::weather {

@@ -14,7 +14,16 @@ import { Scene, type Entry } from "./scene.js";
 
 /** s without a contact after which the next contact is another hit; the gateway has the same. */
 const hitEnds = 1;
+/** Bytes that a chunk may hold, and for each that it takes; as the server's reader has it. */
+const mostOfChunk = 64 * 1024 * 1024, mostRatio = 256;
 const shown = /^(health|host\/[^/]+\/(poses|obstacles)|car\/[^/]+\/(key|delta)\/0)$/;
+
+/** Throws where a chunk would fill the memory. */
+function sizeOf(data: Uint8Array, claimed: bigint): number {
+  const size = Number(claimed);
+  if (size > mostOfChunk || size > mostRatio * data.length) throw new Error(`a chunk of ${data.length} bytes claims to hold ${size}`);
+  return size;
+}
 
 /** From when to when a car lived, s. */
 interface Life {
@@ -52,7 +61,10 @@ export class Film extends Scene {
   static read(bytes: Uint8Array): Film {
     const film = new Film();
     // A server compresses by LZ4; programs that write a recording anew often compress by zstd.
-    const decompressHandlers = { lz4: (data: Uint8Array, size: bigint) => fromLz4(data, Number(size)), zstd: (data: Uint8Array) => fromZstd(data) };
+    const decompressHandlers = {
+      lz4: (data: Uint8Array, size: bigint) => fromLz4(data, sizeOf(data, size)),
+      zstd: (data: Uint8Array, size: bigint) => fromZstd(data, new Uint8Array(sizeOf(data, size))),
+    };
     const reader = new McapStreamReader({ decompressHandlers });
     const topics = new Map<number, string>();
     let first: number | null = null, rate = 60;

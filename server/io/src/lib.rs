@@ -219,6 +219,12 @@ pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth:
 }
 
 #[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_prefer(net: *mut Net, keys: *const c_char) -> c_int {
+    let prefer = || unsafe { borrow(net, "net")?.prefer(text(keys, "keys")?) };
+    done(prefer())
+}
+
+#[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_unsubscribe(net: *mut Net, key: *const c_char) -> c_int {
     let unsubscribe = || unsafe { borrow(net, "net")?.unsubscribe(text(key, "key_expression")?) };
     done(unsubscribe())
@@ -331,6 +337,7 @@ pub struct NetStats {
     queries: u64,
     queries_refused: u64,
     keys: u64,
+    frames_refused: u64,
 }
 
 #[unsafe(no_mangle)]
@@ -350,6 +357,7 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         queries: get(&came.queries),
         queries_refused: get(&came.queries_refused),
         keys: net.key_count() as u64,
+        frames_refused: get(&zenoh::REFUSED),
     };
     unsafe { out.write(view) };
 }
@@ -726,4 +734,4 @@ pub unsafe extern "C" fn reader_metadata(
 }
 
 // The same numbers stand in tests/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 88 && size_of::<ReaderMessage>() == 72);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 96 && size_of::<ReaderMessage>() == 72);

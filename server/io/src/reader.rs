@@ -16,6 +16,14 @@ use std::rc::Rc;
 /// One record in memory: protects from a length that a damaged or hostile file claims.
 const MAX_RECORD: u64 = 256 << 20;
 const RECORD_HEAD: u64 = 9; // opcode, length
+/// What a chunk holds when it is unpacked: ours 256 KiB and a message, those of the mcap tool 4 MiB; the longest message that
+/// is recorded has 32 MiB.
+const MAX_CHUNK: u64 = 64 << 20;
+/// Bytes that a chunk holds for each that it takes. LZ4 gives 255 at most; zstd gives 32,000, but not of what a tick gives.
+const MAX_RATIO: u64 = 256;
+const CHUNK_HEAD: usize = 24; // two times, the bytes that it claims to hold
+/// Of schemas and channels, which are kept to the end: ours take 20 kB, and 60,000 channels 6 MB.
+const MAX_NAMES: usize = 64 << 20;
 
 pub struct Attachment {
     pub name: CString,
@@ -28,7 +36,7 @@ pub struct Metadata {
     pub pairs: Vec<CString>, // key, value, key, value, ...
 }
 
-#[derive(Default)]
+#[derive(Default, PartialEq, Eq)]
 pub struct Schema {
     pub name: CString,
     pub data: Vec<u8>, // .bfbs
@@ -49,6 +57,7 @@ pub struct Reader {
     stream: Stream,
     schemas: HashMap<u16, Rc<Schema>>,
     channels: HashMap<u16, (CString, Rc<Schema>)>, // topic, schema
+    names: usize, // bytes of all that were declared so, also of those in whose place others are
     current: Aligned,
     failed: Option<Fail>,
 }
@@ -70,6 +79,7 @@ impl Reader {
             stream,
             schemas: HashMap::new(),
             channels: HashMap::new(),
+            names: 0,
             current: Aligned::default(),
             failed: None,
         })
@@ -89,6 +99,9 @@ impl Reader {
 
     pub fn rewind(&mut self) -> Result<(), Fail> {
         self.failed = None;
+        self.schemas.clear();
+        self.channels.clear();
+        self.names = 0;
         self.stream.restart(&self.contents).map_err(|e| Fail::new(IO, format!("{}: cannot be read ({e})", self.path)))
     }
 
@@ -130,12 +143,19 @@ impl Reader {
                 LinearReadEvent::Record { data, opcode: opcode @ (op::SCHEMA | op::CHANNEL | op::MESSAGE) } => {
                     match parse(opcode, data)? {
                         Record::Schema { header, data } => {
-                            let schema = Schema { name: c_string(header.name), data: data.into_owned() };
-                            self.schemas.insert(header.id, Rc::new(schema));
+                            let schema = Rc::new(Schema { name: c_string(header.name), data: data.into_owned() });
+                            if self.schemas.get(&header.id) != Some(&schema) {
+                                self.names += schema.name.count_bytes() + schema.data.len();
+                                self.schemas.insert(header.id, schema);
+                            }
                         }
                         Record::Channel(channel) => {
                             let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
-                            self.channels.insert(channel.id, (c_string(channel.topic), schema));
+                            let declared = (c_string(channel.topic), schema);
+                            if self.channels.get(&channel.id) != Some(&declared) {
+                                self.names += declared.0.count_bytes();
+                                self.channels.insert(channel.id, declared);
+                            }
                         }
                         Record::Message { header, .. } if !self.channels.contains_key(&header.channel_id) => {
                             let (message, channel) = (header.sequence, header.channel_id);
@@ -146,6 +166,9 @@ impl Reader {
                             return Ok(Some(header));
                         }
                         _ => {}
+                    }
+                    if self.names > MAX_NAMES {
+                        return Err(format!("its schemas and channels take over {} MiB", MAX_NAMES >> 20));
                     }
                 }
                 LinearReadEvent::Record { .. } => {}
@@ -235,6 +258,20 @@ impl Contents {
                     contents.cut = false;
                     return Ok(contents);
                 }
+            } else if opcode == op::CHUNK && in_data && size > CHUNK_HEAD as u64 {
+                let mut head = [0u8; CHUNK_HEAD];
+                file.read_exact(&mut head)?;
+                let holds = head.last_chunk().map_or(0, |size| u64::from_le_bytes(*size));
+                if holds > MAX_CHUNK || holds / MAX_RATIO > size {
+                    contents.damage = Some(format!(
+                        "the chunk at byte {at} claims to hold {holds} bytes in {size}: it may hold {} MiB, and {MAX_RATIO} \
+                         times what it takes, which LZ4 never exceeds",
+                        MAX_CHUNK >> 20
+                    ));
+                    contents.cut = false;
+                    return Ok(contents);
+                }
+                file.seek_relative((size - CHUNK_HEAD as u64) as i64)?;
             } else {
                 file.seek_relative(size as i64)?;
             }

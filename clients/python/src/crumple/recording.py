@@ -11,9 +11,13 @@ from functools import cached_property
 from types import TracebackType
 from typing import Any, Self
 
+import lz4.frame
 import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
+from mcap.records import Chunk
 from numpy.typing import NDArray
 
 from crumple._convert import REACTION
@@ -29,6 +33,8 @@ from crumple.schema.Spawn import Spawn
 from crumple.session import View
 from crumple.types import Mesh, Obstacle, Pose, Shape, Surface, Vertices
 
+# What a chunk may hold, and for each byte that it takes; as the server's reader has it.
+CHUNK_MOST, RATIO_MOST = 64 << 20, 256  # bytes
 FRAME = ("/key/0", "/delta/0", "/reactions", "health", "tick")  # ends of keys
 
 
@@ -152,10 +158,28 @@ class Recording:
 
     def _messages(self, wanted: Callable[[str], bool], **bounds: Any) -> Iterator[tuple[int, int, str, bytes]]:
         topics = [self._root + key for key in self._topics if wanted(key)]
-        if not topics:
+        if not topics or not self._chunks_checked:
             return
         for _, channel, message in self._reader.iter_messages(topics, **bounds):
             yield message.sequence, message.log_time, channel.topic.removeprefix(self._root), message.data
+
+    @cached_property
+    def _chunks_checked(self) -> bool:
+        """mcap makes room for what a chunk, and what is packed in it, say that they hold."""
+        summary = self._reader.get_summary()
+        if summary is None or not summary.chunk_indexes:  # it would be read in another way
+            raise Error(f"{self._file.name}: has no index of its chunks; crumple recover FILE -o WHOLE makes one")
+        for index in summary.chunk_indexes:
+            self._file.seek(index.chunk_start_offset + 9)  # opcode, length
+            chunk = Chunk.read(ReadDataStream(self._file))
+            taken, holds = len(chunk.data), chunk.uncompressed_size
+            if chunk.compression == "zstd":
+                holds = max(holds, zstandard.frame_content_size(chunk.data))
+            elif chunk.compression == "lz4" and 255 * taken > CHUNK_MOST:  # it cannot give more
+                holds = max(holds, len(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=CHUNK_MOST + 1)))
+            if holds > CHUNK_MOST or holds > RATIO_MOST * taken:
+                raise Error(f"{self._file.name}: a chunk claims to hold {holds} bytes in {taken}; record it anew")
+        return True
 
     def _tick_at(self, time: float) -> int:
         """The last tick that had ended then."""
