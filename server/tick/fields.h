@@ -3,6 +3,7 @@
 // only `sums` them up: then bodies, logs and surfaces are left to the hashes that their car keeps.
 #pragma once
 
+#include <array>
 #include <concepts>
 #include <string>
 #include <type_traits>
@@ -15,9 +16,15 @@ namespace crumple {
 // A T that is read into, or a const one that is written.
 template <class T, class Type>
 concept Is = std::same_as<std::remove_const_t<T>, Type>;
+template <class T>
+concept Numeric = (std::is_arithmetic_v<T> || std::is_enum_v<T>)&&!Is<T, bool>;
+template <class T>
+constexpr bool is_array = false;
+template <class T, size_t Size>
+constexpr bool is_array<std::array<T, Size>> = true;
 
-template <class File, class Number>
-requires(std::is_arithmetic_v<Number> || std::is_enum_v<Number>) && (!Is<Number, bool>)void field(File& file, Number& value) {
+template <class File>
+void field(File& file, Numeric auto& value) {
   file.raw(&value, sizeof value);
 }
 template <class File>
@@ -42,9 +49,10 @@ void field(File& file, List& list) {
   file.resize(list);
   file.raw(list.data(), list.size() * sizeof(typename List::value_type));
 }
-template <class File>
-void field(File& file, Is<decltype(AndersonHistory::products)> auto& table) {
-  file.raw(table.data(), sizeof table);
+template <class File, class Array>
+requires is_array<std::remove_const_t<Array>>
+void field(File& file, Array& array) {
+  for (auto& each : array) field(file, each);
 }
 template <class File>
 void field(File& file, Is<std::optional<uint64_t>> auto& value) {
