@@ -10,6 +10,7 @@
 #include "recording/recording.h"
 #include "schema/message_generated.h"
 #include "tick/hash.h"
+#include "tick/health.h"
 #include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "wire/decode.h"
