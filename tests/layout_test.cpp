@@ -47,7 +47,7 @@ const std::map<std::string, std::set<std::string>> may_include = {
     {"viewer", {"viewer", "protocol", "schema"}},
     {"recording", {"recording", "tick", "viewer", "wire", "car", "protocol", "sim", "schema", "io"}},
     {"service", {"service", "recording", "bake", "tick", "car", "protocol", "schema", "io"}},
-    {"gateway", {"gateway", "recording", "bake", "car", "protocol", "sim", "schema", "io"}},
+    {"gateway", {"gateway", "recording", "bake", "viewer", "car", "protocol", "sim", "schema", "io"}},
     {"cli", {"cli", "service", "gateway", "recording", "bake", "protocol", "schema", "io"}},
     {"cpp", {"cpp", "viewer", "protocol", "schema", "io"}},  // clients/cpp
 };
@@ -152,6 +152,18 @@ TEST(Layout, TheTickKnowsNoClockThreadFileSocketOrRandomNumber) {
     }
   }
   EXPECT_GT(checked, 70);
+}
+
+// Its user says what time it is, so a test can.
+TEST(Layout, TheViewerReadsNoClock) {
+  const std::regex forbidden("\\bnow\\(\\)|\\bsleep_|#include \"io/");
+  int checked = 0;
+  for (const Source& source : sources("server/viewer")) {
+    std::smatch hit;
+    EXPECT_FALSE(std::regex_search(source.text, hit, forbidden)) << source.name << ": " << hit.str();
+    ++checked;
+  }
+  EXPECT_GT(checked, 5);
 }
 
 TEST(Layout, NothingBreaksThePromiseOfTheSameBits) {

@@ -7,6 +7,7 @@
 #include <initializer_list>
 #include <limits>
 #include <map>
+#include <memory>
 #include <random>
 #include <set>
 #include <span>
@@ -15,25 +16,15 @@
 
 #include "cpp/crumple_client.h"
 #include "io/net.h"
-#include "protocol/asset.h"
-#include "viewer/surface.h"
+#include "viewer/fetch.h"
+#include "viewer/follow.h"
 
 namespace crumple::client {
 
 using Clock = std::chrono::steady_clock;
 
-// After this long without a message of a car the session asks for its keyframe, once: the last delta or keyframe may have been
-// lost, and an idle car sends nothing.
-inline constexpr std::chrono::milliseconds silence{500};
 // A session that was not polled for this long may hold an old surface, and more old messages may still be waiting for it.
 inline constexpr std::chrono::milliseconds unpolled{500};
-// If a car sent something less than this before a message of health, that may still be on its way.
-inline constexpr std::chrono::milliseconds on_its_way{100};
-inline constexpr int none = -1;  // of the surface levels
-// After this long without a keyframe the session asks for it again.
-inline constexpr uint32_t keyframe_ms = 3000;
-inline constexpr size_t sample_limit = size_t{1} << 20;  // bytes: reactions of 1,000 cars have 200 kB
-inline constexpr size_t cars_limit = 4'096;              // of a session that follows all cars: four scenes have as many
 inline constexpr size_t reactions_kept = 4096;
 inline constexpr double past_kept = 0.5;  // s: how long ago crumple_copy can show a car
 inline constexpr size_t answers_kept = 256;
@@ -42,7 +33,6 @@ inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transpo
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
 inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
-inline constexpr std::chrono::milliseconds asset_patience{10'000};  // for each piece; the session's timeout, if longer
 
 // Tells the server's time by the delay of messages: when they come, less the time of their tick. The least delay of the last
 // one or two seconds is nearest to the truth, because messages with more were held up.
@@ -62,25 +52,14 @@ struct Past {
   Quanta quanta;
 };
 
-struct FollowedCar {
-  Surface surface;
-  Surface coming;         // while `fresh`: the parts that have come of the surface that will replace it
+// What crumple_copy and crumple_surface remember of a car.
+struct ShownCar {
   std::deque<Past> past;  // earlier surfaces and the newest, oldest first; empty: nobody asked for them
+  bool dirty = false;
   // What the last crumple_copy gave: displacements of the skin's nodes, in quanta.
   std::string copied_asset;
   float copied_quantum = 0;
   std::vector<float> copied;
-  int level = 0;
-  bool alive = false;  // the car has a token
-  bool gone = false;   // the car had a token, which went; a keyframe may come before a token
-  bool dirty = false;
-  bool unsure = false;        // a message came after the session last asked for a keyframe
-  bool doubtful = false;      // nobody polled the session for long: the surface counts only after the answer to `asking`
-  bool owed = false;          // the session asked for a keyframe, which has not come
-  bool fresh = true;          // the car, its server or its level is a new one: the next keyframe counts whatever its tick
-  Clock::time_point asked{};  // when the session last asked for its keyframe
-  uint64_t asking = 0;        // ticket of the query for the keyframe; 0: none
-  Clock::time_point last{};   // of its last message
 };
 
 // A bad line and the messages on it, by the time at which they come: to the session, or to the server (then with a whole key).
@@ -110,12 +89,10 @@ struct SkinVertex {
 };
 
 struct Asset {
-  uint64_t asking = 0;
   bool whole = false;
   std::string trouble;
-  std::vector<uint64_t> words;  // the bytes, aligned
-  size_t size = 0;
-  CrumpleMesh mesh{};
+  Baked baked;
+  CrumpleMesh mesh{};  // views of it
   uint32_t skin_nodes = 0;
   std::vector<SkinVertex> skin;  // per vertex
 };
@@ -129,7 +106,7 @@ bool is_id(const char*);
 }  // namespace crumple::client
 
 struct Crumple {
-  Crumple() = default;
+  explicit Crumple(std::string scene_root);
   ~Crumple();
   Crumple(const Crumple&) = delete;
   Crumple& operator=(const Crumple&) = delete;
@@ -140,14 +117,14 @@ struct Crumple {
   std::chrono::milliseconds timeout{2000};
   bool server_alive = false;
   crumple::client::Clock::time_point polled = crumple::client::Clock::now();
-  int level = crumple::client::none;                   // of cars that come, if the session follows all
   std::map<std::string, int, std::less<>> subscribed;  // level, by id of a car or "*"
   uint64_t sequence = 0;
   std::vector<uint8_t> obstacles;  // the last message of obstacles
-  std::map<std::string, crumple::client::FollowedCar, std::less<>> cars;
+  crumple::client::Following following;
+  crumple::client::Fetching fetching;
+  std::map<std::string, crumple::client::ShownCar, std::less<>> shown;
   std::map<std::string, crumple::client::Asset, std::less<>> assets;
   std::map<uint64_t, crumple::client::CommandAnswer> answers;  // by ticket, oldest first
-  std::map<uint64_t, std::string> key_tickets, asset_tickets;
   std::deque<CrumpleReaction> reactions;
   std::set<std::string, std::less<>> names;  // of cars in reactions
   CrumpleHealth health{};
@@ -162,6 +139,8 @@ namespace crumple::client {
 // The session of a handle, or NULL with the error set. A handle is a number that never comes again, in place of an address: a
 // closed one is known as such, also when another session lies where its session lay.
 Crumple* find(const Crumple* handle);
+// Gives a session its handle.
+Crumple* keep(std::unique_ptr<Crumple>);
 
 struct Argument {
   const char* name;
@@ -200,8 +179,14 @@ int mesh_of(Crumple*, const char* hash, CrumpleMesh* out);
 void take(Crumple&, const NetEvent&);
 // Whether the message goes the way of a bad line; else it is as if there were none.
 bool impair(Impaired&, bool outgoing, std::string_view key, std::span<const uint8_t> bytes);
+// Takes the messages that have come to the end of a bad line. Returns how many came to the session.
+int take_impaired(Crumple&);
+// How long to wait for what arrives by itself: not beyond what comes by a bad line.
+uint64_t until_next(const Impaired&, uint64_t timeout_us);
+// Takes a baked car that the server gave, or why it did not.
+void take_asset(Crumple&, AssetNews);
 // Whether there is a surface that counts.
 bool held(const FollowedCar&);
 // Keeps what is held, so that it can still be shown when it is no longer the newest.
-void remember(FollowedCar&, double rate);
+void remember(const Surface&, ShownCar&, double rate);
 }  // namespace crumple::client

@@ -15,8 +15,7 @@ namespace {
 constexpr double interval[2] = {1, 6};
 
 // Writes the displacements of the skin's nodes at a time, in ticks. Returns the quantum in which it wrote them, m.
-float nodes_at(const FollowedCar& car, double tick, std::vector<float>& out) {
-  const auto& past = car.past;
+float nodes_at(const FollowedCar& car, const std::deque<Past>& past, double tick, std::vector<float>& out) {
   const auto next =
       std::find_if(past.begin(), past.end(), [&](const Past& each) { return static_cast<double>(each.tick) >= tick; });
   const bool between = tick > 0 && next != past.end();
@@ -95,9 +94,8 @@ void write(const std::vector<float>& from, const CrumpleVertices& out, size_t co
 
 }  // namespace
 
-void crumple::client::remember(FollowedCar& car, double rate) {
-  const Surface& surface = car.surface;
-  std::deque<Past>& past = car.past;
+void crumple::client::remember(const Surface& surface, ShownCar& shown, double rate) {
+  std::deque<Past>& past = shown.past;
   if (!past.empty() && (surface.tick <= past.back().tick || surface.quanta.size() != past.back().quanta.size())) past.clear();
   past.push_back({surface.tick, surface.quantum, surface.quanta});
   // One older surface stays, because it was the surface until the next one.
@@ -106,15 +104,17 @@ void crumple::client::remember(FollowedCar& car, double rate) {
 
 int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
   return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
-    const auto at = session->cars.find(id);
-    if (at == session->cars.end()) return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+    const auto at = session->following.cars.find(id);
+    if (at == session->following.cars.end())
+      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
     if (out->stride < 12 || out->stride % 4 != 0 || out->stride > stride_limit)
       return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4 from 12 to 4096");
-    FollowedCar& car = at->second;
+    const FollowedCar& car = at->second;
     const Surface& surface = car.surface;
+    ShownCar& shown = session->shown[at->first];
     if (!held(car)) return CRUMPLE_PENDING;
     if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
-    if (out->time != 0 && car.past.empty()) remember(car, session->clock.rate);
+    if (out->time != 0 && shown.past.empty()) remember(surface, shown, session->clock.rate);
     CrumpleMesh mesh;
     if (const int status = mesh_of(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
     const Asset& asset = session->assets.at(surface.asset);
@@ -124,7 +124,7 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
 
     const size_t count = std::min(out->capacity, asset.skin.size());
     std::vector<float>&displacement = session->displacement, &position = session->position;
-    const float quantum = nodes_at(car, out->time * session->clock.rate, session->node);
+    const float quantum = nodes_at(car, shown.past, out->time * session->clock.rate, session->node);
     displace(asset, session->node, quantum, displacement);
     position.resize(displacement.size());
     std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
@@ -133,19 +133,19 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
     write(displacement, *out, count, out->displacement);
     write(session->normal, *out, count, out->normal);
 
-    if (car.copied_asset != surface.asset || car.copied_quantum != quantum) car.copied.clear();
-    mark(asset, session->node, car.copied, session->moved);
+    if (shown.copied_asset != surface.asset || shown.copied_quantum != quantum) shown.copied.clear();
+    mark(asset, session->node, shown.copied, session->moved);
     const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
     const auto is_moved = [](uint8_t how) { return how != 0; };
     const auto first = std::find_if(begin, end, is_moved);
     const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
     out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
     out->count = static_cast<uint32_t>(last - first);
-    car.copied_asset = surface.asset;
-    car.copied_quantum = quantum;
-    car.copied.swap(session->node);
+    shown.copied_asset = surface.asset;
+    shown.copied_quantum = quantum;
+    shown.copied.swap(session->node);
     const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
-    car.dirty &= !newest;
+    shown.dirty &= !newest;
     return CRUMPLE_OK;
   });
 }

@@ -112,21 +112,20 @@ bool client_run(Input input) {
   expect(crumple_open(&options, &handle) == CRUMPLE_OK, "a session without a network can be opened");
   const std::unique_ptr<Crumple, void (*)(Crumple*)> closer(handle, crumple_close);
   Crumple& session = *client::find(handle);
-  session.root = root;
-  session.level = 0;
+  session.following.level = 0;
   for (Part& part : parts_of(input)) {
     const uint8_t kind = part.kind % kinds;
     if (part.which & 2 && (kind == keyframe || kind == delta || kind == keyframe_reply)) {
-      const client::FollowedCar& car = session.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
+      const client::FollowedCar& car = session.following.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
       fit_hash(kind != delta, car.fresh && kind != delta ? car.coming : car.surface, part.bytes);
     }
     session.answers[answer_ticket];
-    session.key_tickets[keyframe_ticket] = "c0";
+    session.following.tickets[keyframe_ticket] = "c0";
     // The asset that these bytes are: what a hash names is what it says.
     char hash[17];
     std::snprintf(hash, sizeof hash, "%016llx",
                   static_cast<unsigned long long>(XXH64(part.bytes.data(), part.bytes.size(), 0)));
-    if (kind == asset) session.asset_tickets[asset_ticket] = hash;
+    if (kind == asset) session.fetching.tickets[asset_ticket] = hash;
     std::string key;
     client::take(session, event_of(part, key));
   }

@@ -209,8 +209,8 @@ void tell_obstacles(Actor& self, Draw& draw, double y) {
 // Cars that its scene should have and has not are spawned, and the other way about.
 void keep_cars(Actor& self, double y) {
   for (auto& [id, car] : self.cars) {
-    const auto held = inside(self).cars.find(id);
-    const bool there = held != inside(self).cars.end() && held->second.alive;
+    const auto held = inside(self).following.cars.find(id);
+    const bool there = held != inside(self).following.cars.end() && held->second.alive;
     if (there == car.there || now() - car.asked < second) continue;
     car.asked = now();
     uint64_t ticket;
@@ -527,24 +527,24 @@ std::string surfaces_differ(const Actor& viewer, const World& world) {
   const Crumple& session = inside(viewer);
   for (const auto& [id, car] : world.cars) {
     CrumpleSurface held{};
-    if (!session.cars.contains(id) || crumple_surface(viewer.session, id.c_str(), &held) != CRUMPLE_OK)
+    if (!session.following.cars.contains(id) || crumple_surface(viewer.session, id.c_str(), &held) != CRUMPLE_OK)
       return viewer.name + " holds nothing of car " + id;
     const auto& told = car.told[size_t(viewer.level)].latest;
     if (!held.alive) return viewer.name + " takes car " + id + " for gone";
     if (told.size() != 3 * size_t(held.node_count) || std::memcmp(told.data(), held.quanta, 2 * told.size()) != 0)
       return viewer.name + " holds another surface of car " + id + " than the owner";
   }
-  for (const auto& [id, car] : session.cars)
+  for (const auto& [id, car] : session.following.cars)
     if (car.alive && !world.cars.contains(id)) return viewer.name + " takes car " + id + " for alive";
   return {};
 }
 
 std::string session_grows(const Actor& actor) {
   const Crumple& session = inside(actor);
-  const size_t cars = session.cars.size();
-  if (session.key_tickets.size() > cars + 2 || session.answers.size() > client::answers_kept ||
-      session.reactions.size() > client::reactions_kept || session.asset_tickets.size() > session.assets.size())
-    return actor.name + " keeps questions that have ended: " + std::to_string(session.key_tickets.size());
+  const auto &following = session.following.tickets, &fetching = session.fetching.tickets;
+  if (following.size() > session.following.cars.size() + 2 || session.answers.size() > client::answers_kept ||
+      session.reactions.size() > client::reactions_kept || fetching.size() > session.fetching.assets.size())
+    return actor.name + " keeps questions that have ended: " + std::to_string(following.size());
   if (keys_of(actor.net) > 4) return actor.name + " publishes on " + std::to_string(keys_of(actor.net)) + " keys";
   return {};
 }
