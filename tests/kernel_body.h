@@ -11,6 +11,7 @@
 
 #include "box_car.h"
 #include "car/make_blocks.h"
+#include "sim/flow.h"
 #include "sim/nodal.h"
 
 namespace crumple {

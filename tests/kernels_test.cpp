@@ -225,7 +225,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
 
 // A wall goes 0.3 m into the front and back, with nothing but kernels.
 State& crash(const Kernels& kernel, State& state) {
-  Scratch& s = state.solver;
+  NodalSolver& s = state.solver;
   for (size_t b = 0; b < s.touched.size(); ++b) {
     s.still[b] = s.touched[b] = 0;
     for (int lane = 0; lane < lanes; ++lane) {

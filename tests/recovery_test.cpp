@@ -8,6 +8,7 @@
 
 #include "crash.h"
 #include "kernel_body.h"
+#include "sim/scratch.h"
 #include "tick/hash.h"
 
 namespace crumple {
