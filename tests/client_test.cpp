@@ -15,7 +15,7 @@
 #include "box_car.h"
 #include "cpp/crumple_client.h"
 #include "cpp/scene.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 #include "viewer/surface.h"

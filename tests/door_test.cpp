@@ -1,7 +1,7 @@
 // The door: what strangers can send, hold open or leave behind, and what the service does meanwhile. Each test was once an
 // attack that stopped, deafened or filled a server.
 #include "host.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "program.h"
 
 namespace crumple {

@@ -3,7 +3,7 @@
 #include <thread>
 
 #include "bake/load_car.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "program.h"
 #include "schema/message_generated.h"
 

@@ -12,7 +12,8 @@
 #include <set>
 #include <sstream>
 
-#include "io/transport.h"
+#include "io/metrics.h"
+#include "io/web.h"
 #include "program.h"
 
 namespace crumple {
@@ -393,6 +394,24 @@ TEST_F(Http, UnfinishedBodiesAreBoundedTogether) {
   EXPECT_TRUE(lines.back().read("\n", seconds(1)).starts_with("HTTP/1.1 503"));
   WebRequest request;
   EXPECT_EQ(web_next(web_, &request), 0) << "a request that did not arrive is handed on";
+}
+
+TEST_F(Http, OneAddressLeavesRequestsForOthers) {
+  ASSERT_EQ(web_take_requests(web_), 0);
+  std::vector<Line> lines;
+  const std::string post = "POST /regions HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 4\r\n\r\n";
+  for (int i = 0; i < 100; ++i) lines.emplace_back(web, "127.0.0.2").send(post);
+  size_t refused = 0;
+  for (const auto end = Clock::now() + promptly; refused < 68 && Clock::now() < end;)
+    for (Line& line : lines) refused += line.read("\n", seconds(0)).starts_with("HTTP/1.1 503");
+  EXPECT_EQ(refused, 68u) << "half of 64 may be of one address";
+  Line other(web);
+  other.send(post + "dabs");
+  WebRequest request;
+  const auto deadline = Clock::now() + promptly;
+  while (web_next(web_, &request) == 0 && Clock::now() < deadline) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  ASSERT_EQ(web_answer(web_, request.ticket, 200, "text/plain", "painted", 7), 0) << transport_error();
+  EXPECT_NE(other.read("painted").find("HTTP/1.1 200"), std::string::npos) << "one address has all requests";
 }
 
 TEST_F(Http, ALargeStateReachesManyBrowsersInPieces) {

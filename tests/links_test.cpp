@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "impaired_link.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "program.h"
 
 namespace crumple {

@@ -2,6 +2,7 @@
 // that no sender can make its ticks long.
 #include <arpa/inet.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <cstdlib>
 #include <map>
@@ -9,7 +10,8 @@
 #include <sstream>
 
 #include "host.h"
-#include "io/transport.h"
+#include "io/mcap.h"
+#include "io/net.h"
 #include "program.h"
 
 namespace crumple {
@@ -304,20 +306,68 @@ TEST_F(Guarded, CertificatesLetAHostDriveAndAPlayerOnlyWatch) {
   play(certificate("game"), certificate("player"));
 }
 
-TEST_F(Guarded, BehindARouterOnlyServersOwnAScene) {
-  Net* opened = nullptr;
-  const std::string network = with(repository_file("server/router.json5"), "/etc/crumple", folder.string());
-  ASSERT_EQ(net_open("router", "tls/127.0.0.1:0", nullptr, network.c_str(), 0, &opened), 0) << transport_error();
-  const Session router(opened);
-  endpoint = net_endpoint(router.get());
-  const auto serve = [&](const char* name, std::vector<std::string> more) {
+TEST_F(Guarded, ThoseWhoSpeakNoTlsKeepNobodyOut) {
+  start_guarded(server_network());
+  sockaddr_in to{};
+  to.sin_family = AF_INET;
+  to.sin_port = htons(static_cast<uint16_t>(std::stoi(endpoint.substr(endpoint.rfind(':') + 1))));
+  to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  std::vector<int> strangers;
+  for (int i = 0; i < 300; ++i) {
+    strangers.push_back(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+    ASSERT_EQ(connect(strangers.back(), reinterpret_cast<const sockaddr*>(&to), sizeof to), 0) << std::strerror(errno);
+    ASSERT_GT(send(strangers.back(), "GET / HTTP/1.1\r\n\r\n", 18, MSG_NOSIGNAL), 0) << std::strerror(errno);
+  }
+  const std::string network = user("game", "dent-1");
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 10'000, endpoint.c_str(), "main", "game", network.c_str()};
+  Crumple* session = nullptr;
+  EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_OK) << crumple_error();
+  crumple_close(session);
+  for (const int stranger : strangers) close(stranger);
+}
+
+class Routed : public Guarded {
+ protected:
+  Session route() {
+    Net* opened = nullptr;
+    const std::string network = with(repository_file("server/router.json5"), "/etc/crumple", folder.string());
+    EXPECT_EQ(net_open("router", "tls/127.0.0.1:0", nullptr, network.c_str(), 0, &opened), 0) << transport_error();
+    endpoint = net_endpoint(opened);
+    return Session(opened);
+  }
+  std::unique_ptr<Process> serve(const char* name, const std::vector<std::string>& more) {
     std::vector<std::string> arguments = {"serve",     "--car",     car_file.string(),
                                           "--threads", "2",         "--connect",
                                           endpoint,    "--network", write("as_server.json5", user("server", "serve-1")),
                                           "--record",  path(name)};
     arguments.insert(arguments.end(), more.begin(), more.end());
     return std::make_unique<Process>(arguments);
-  };
+  }
+};
+
+// It has more bytes than zenoh queues on a line.
+TEST_F(Routed, AStandbyFetchesAWorldOfAThousandCars) {
+  const Session router = route();
+  const auto owner = serve("owner.mcap", {});
+  ASSERT_TRUE(owner->read_until("vertices")) << owner->text;
+  Crumple* host = open("game", user("game", "dent-1"));
+  ASSERT_NE(host, nullptr);
+  for (int i = 0; i < 1000; ++i) {
+    CrumpleSpawn spawn{};
+    spawn.pose = {{100.0 * i, 0, 0}, {0, 0, 0, 1}};
+    uint64_t ticket = 0;
+    const std::string id = "car" + std::to_string(i);
+    const int sent = crumple_spawn(host, id.c_str(), asset.c_str(), &spawn, &ticket);
+    ASSERT_TRUE(i % 50 != 49 ? sent == CRUMPLE_OK : answer(host, sent, ticket).ok) << id;
+  }
+  const auto standby = serve("standby.mcap", {"--standby"});
+  EXPECT_TRUE(standby->read_until("holds the world")) << standby->text;
+  EXPECT_EQ(standby->text.find("cannot hold"), std::string::npos) << standby->text;
+  EXPECT_NE(standby->text.find("1000 cars"), std::string::npos) << standby->text;
+}
+
+TEST_F(Routed, OnlyServersOwnAScene) {
+  const Session router = route();
   const auto owner = serve("owner.mcap", {});
   ASSERT_TRUE(owner->read_until("vertices")) << owner->text;
   const Session player = open_raw(user("player", "look-1")), game = open_raw(user("game", "dent-1"));

@@ -11,7 +11,8 @@
 #include <sstream>
 #include <thread>
 
-#include "io/transport.h"
+#include "io/mcap.h"
+#include "io/net.h"
 #include "program.h"
 #include "schema/message_generated.h"
 #include "tick/health.h"

@@ -1,7 +1,5 @@
 // The transport room against its header: real zenoh sessions on loopback in one process, real files in the test's folder.
-// In: transport.h only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
-#include "io/transport.h"
-
+// In: the headers of server/io only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
@@ -17,11 +15,15 @@
 #include <thread>
 #include <vector>
 
+#include "impaired_link.h"
+#include "io/mcap.h"
+#include "io/net.h"
+
 namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 88 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 96 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);
@@ -322,6 +324,71 @@ TEST(Net, KeepsNoMoreThanItsBytesOfWhatWaits) {
   for (const Kept& event : events) EXPECT_EQ(net_reply(server.get(), event.ticket, "", 0, 0), TRANSPORT_OK);
   EXPECT_EQ(collect(client, 10).size(), 10u) << "of each its answer and the end";
   EXPECT_GE(ask(client, server, "q/long", "there is room again", 0).size(), 2u);
+}
+
+TEST(Net, HearsWhomItPrefersWhileAnotherFillsAllThatMayWait) {
+  const Session server = open_peer(), flood = open_client(server), known = open_client(server);
+  ASSERT_EQ(net_prefer(server.get(), "t/known,t/silent"), TRANSPORT_OK) << transport_error();
+  ASSERT_EQ(net_subscribe(server.get(), "t/*", 0, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_EQ(net_queryable(server.get(), "q/long", 100, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_TRUE(wait_for_subscriber(flood, "t/0") && wait_for_subscriber(known, "t/known"));
+  for (uint64_t i = 1; i <= 4096; ++i) {
+    ASSERT_EQ(put(flood, ("t/" + std::to_string(i)).c_str(), "x"), TRANSPORT_OK);
+    ASSERT_TRUE(i % 64 != 0 || wait_until(known, [&] { return stats_of(server).received == i; })) << i;
+  }
+  ASSERT_EQ(put(flood, "t/unknown", "x"), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received_dropped == 1; }));
+  ASSERT_EQ(put(known, "t/known", "one"), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received == 4097; })) << "no key is left for it";
+  const std::string data(size_t{60} << 20, 'x');  // five of them are more than 256 MiB
+  uint64_t ticket = 0;
+  for (uint64_t i = 1; i <= 5; ++i) {
+    ASSERT_TRUE(wait_until(known, [&] {
+      return net_get(flood.get(), "q/long", data.data(), data.size(), 30000, &ticket) == TRANSPORT_OK;
+    })) << transport_error();
+    ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).queries + stats_of(server).queries_refused == i; })) << i;
+  }
+  const std::string longer(size_t{20} << 20, 'y');
+  ASSERT_EQ(put(known, "t/known", longer), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(known, [&] { return stats_of(server).received == 4098; })) << "no bytes are left for it";
+  std::string got;
+  for (const Kept& event : poll(server, 0, 5000))
+    if (event.key == "t/known") got += event.data;
+  EXPECT_TRUE(got == longer) << got.size();
+  std::string keys = "t/0";
+  for (int i = 1; i <= 256; ++i) keys += ",t/" + std::to_string(i);
+  EXPECT_EQ(net_prefer(server.get(), keys.c_str()), TRANSPORT_BAD_ARGUMENT);
+  EXPECT_NE(std::string(transport_error()).find("256"), std::string::npos) << transport_error();
+}
+
+TEST(Net, AnAskerThatTakesNothingHoldsUpNoOtherAnswer) {
+  const char* patient =
+      "{transport: {link: {tx: {lease: 60000, queue: {congestion_control: {block: {wait_before_close: 60000000}}}}}}}";
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, patient, 0, &opened), TRANSPORT_OK) << transport_error();
+  const Session server(opened), other = open_client(server);
+  ImpairedLink line(net_endpoint(server.get()), {});
+  ASSERT_EQ(net_open("client", nullptr, line.endpoint().c_str(), patient, connect_ms, &opened), TRANSPORT_OK);
+  const Session frozen(opened);
+  ASSERT_EQ(net_queryable(server.get(), "q/any", 8, NET_LONGEST), TRANSPORT_OK);
+  ASSERT_EQ(ask(other, server, "q/any", "known", 0).size(), 2u);
+  uint64_t ticket = 0;
+  ASSERT_EQ(net_get(frozen.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> first = collect(server, 1);
+  ASSERT_EQ(first.size(), 1u);
+  line.set(LinkState::stalled);
+  ASSERT_EQ(net_get(other.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> second = collect(server, 1);
+  ASSERT_EQ(second.size(), 1u);
+  const std::string more(size_t{60} << 20, 'x');  // than all buffers of a line hold
+  ASSERT_EQ(net_reply(server.get(), first[0].ticket, more.data(), more.size(), 0), TRANSPORT_OK);
+  ASSERT_EQ(net_reply(server.get(), second[0].ticket, "1", 1, 0), TRANSPORT_OK);
+  const std::vector<Kept> answer = collect(other, 1);
+  EXPECT_FALSE(answer.empty()) << "the other one waits until this one's line is given up";
+  line.set(LinkState::up);
+  const std::vector<Kept> whole = collect(frozen, 1);
+  ASSERT_FALSE(whole.empty());
+  EXPECT_EQ(whole[0].data.size(), more.size());
 }
 
 TEST(Net, AnswersEachTicketOnce) {

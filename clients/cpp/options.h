@@ -5,7 +5,7 @@
 #include <string>
 
 #include "io/files.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "protocol/key.h"
 
 namespace crumple::client {

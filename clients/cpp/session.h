@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "cpp/crumple_client.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "viewer/fetch.h"
 #include "viewer/follow.h"
 

@@ -14,7 +14,7 @@
 #include "cli/run_client.h"
 #include "gateway/view.h"
 #include "io/files.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "protocol/key.h"
 #include "recording/export.h"
 #include "recording/recording.h"

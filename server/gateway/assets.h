@@ -13,7 +13,8 @@
 #include <vector>
 
 #include "car/car.h"
-#include "io/transport.h"
+#include "io/net.h"
+#include "io/web.h"
 #include "viewer/fetch.h"
 
 namespace crumple {

@@ -15,7 +15,8 @@
 #include <vector>
 
 #include "car/car.h"
-#include "io/transport.h"
+#include "io/net.h"
+#include "io/web.h"
 
 namespace crumple {
 

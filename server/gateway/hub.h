@@ -10,7 +10,8 @@
 #include <string_view>
 
 #include "gateway/assets.h"
-#include "io/transport.h"
+#include "io/net.h"
+#include "io/web.h"
 #include "protocol/key.h"
 #include "viewer/follow.h"
 

@@ -6,7 +6,7 @@
 #include <string_view>
 #include <vector>
 
-#include "io/transport.h"
+#include "io/web.h"
 
 namespace crumple {
 

@@ -5,7 +5,7 @@
 #include <string>
 #include <thread>
 
-#include "io/transport.h"
+#include "io/net.h"
 
 namespace crumple {
 

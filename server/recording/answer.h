@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "car/car.h"
-#include "io/transport.h"
+#include "io/net.h"
 #include "protocol/asset.h"
 #include "tick/world.h"
 

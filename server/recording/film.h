@@ -2,7 +2,7 @@
 // for those who ask.
 #pragma once
 
-#include "io/transport.h"
+#include "io/net.h"
 #include "recording/replay.h"
 
 namespace crumple {

@@ -25,7 +25,7 @@
 #include <thread>
 #include <vector>
 
-#include "io/transport.h"
+#include "io/mcap.h"
 #include "protocol/key.h"
 #include "tick/world.h"
 

@@ -37,6 +37,8 @@ constexpr std::array metrics = {
     Metric{"oversized", "oversized_total", "Samples and queries that were too long to be looked at."},
     Metric{"keys_refused", "keys_refused_total",
            "Samples and queries under keys that nobody has, or of too many unknown hosts."},
+    Metric{"frames_refused", "frames_refused_total",
+           "Network messages under keys that are none, or of sessions that declare or leave unfinished too much."},
     Metric{"queries_waiting", "queries_waiting", "Queries that no tick has let in yet."},
     Metric{"queries_refused", "queries_refused_total", "Queries that found too many waiting."},
     Metric{"recording_lost", "recording_lost_total", "Messages that are missing in the recording."},

@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "bake/load_car.h"
+#include "io/metrics.h"
 #include "protocol/key.h"
 #include "recording/answer.h"
 #include "recording/recording.h"
@@ -217,6 +218,10 @@ void forget_hosts(Server& server) {
     if (!std::binary_search(now.begin(), now.end(), host))
       net_withdraw(server.net, (server.root + "host/" + host + "/").c_str());
   server.latest.forget_others(now);
+  std::string keys;  // of those who are known: a flood of others must not deafen the server to them
+  for (const std::string& host : now)
+    for (const char* what : {"/poses", "/obstacles"}) keys += (keys.empty() ? "" : ",") + server.root + "host/" + host + what;
+  need(net_prefer(server.net, keys.c_str()));
   server.heard = std::move(now);
   server.newcomers = 0;
 }
@@ -380,6 +385,7 @@ void publish_health(Server& server) {
                                  {"keys_published", stats.keys, NET_KEYS},
                                  {"oversized", stats.oversized},
                                  {"keys_refused", server.keys_refused},
+                                 {"frames_refused", stats.frames_refused},
                                  {"queries_waiting", server.queries.size(), query_limit},
                                  {"queries_refused", stats.queries_refused + server.queries_refused},
                                  {"recording_lost", server.recording ? server.recording->lost() : 0}});

@@ -33,9 +33,11 @@ constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the wo
 constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
 // Bytes of the ticks that wait, and of a world that is fetched: 1,000 damaged cars of 4,642 nodes have 1 GB.
 constexpr size_t waiting_limit = size_t{256} << 20, world_limit = size_t{2} << 30;
-constexpr size_t world_piece = size_t{4} << 20;  // bytes, below the limit of a message
-constexpr size_t servers_limit = 64;             // tokens of owners, and of those that stand by, in one scene
-constexpr uint32_t answer_ms = 30'000;           // for a piece: over 1.2 Mb/s
+// Bytes: half of the 16 batches that zenoh queues on a line. A router with TLS sends and receives on one thread: it cannot send
+// while it waits for room in a queue, and cuts the line after a second in which nobody is heard.
+constexpr size_t world_piece = size_t{512} << 10;
+constexpr size_t servers_limit = 64;    // tokens of owners, and of those that stand by, in one scene
+constexpr uint32_t answer_ms = 30'000;  // for a piece: over 1.2 Mb/s
 // Of the owner.
 constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
 constexpr size_t snapshots_most = 4;

@@ -13,7 +13,7 @@
 #include <span>
 #include <string>
 
-#include "io/transport.h"
+#include "io/net.h"
 #include "tick/inputs.h"
 #include "tick/world.h"
 

@@ -44,7 +44,7 @@ class Enemy:
             import zenoh
             from roles import configured
 
-            self._session = zenoh.open(configured("client", self.endpoint, self.network))
+            self._session = zenoh.open(configured(self.endpoint, self.network))
         return self._session
 
     def noise(self, size):
@@ -321,7 +321,7 @@ def wrong_password(enemy):
     from roles import configured
 
     for _ in range(20):
-        config = configured("client", enemy.endpoint, enemy.network)
+        config = configured(enemy.endpoint, enemy.network)
         config.insert_json5("connect/timeout_ms", "200")
         try:
             zenoh.open(config).close()

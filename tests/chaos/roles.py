@@ -2,9 +2,9 @@
 
     roles.py host ENDPOINT NETWORK ID CARS LANE BIG SMALL     drives cars into walls; measures how long it was not heard
     roles.py truth ENDPOINT NETWORK CARS                      asks the server for the hash of each car, at each line on stdin
-    roles.py router ENDPOINT NETWORK                          a router of zenoh's, as zenohd is one
     roles.py links                                            bad lines: "open NAME HOST:PORT [thin]",
                                                               "up|cut|freeze NAME", "slow NAME MS JITTER"
+    roles.py probe                                            tells how late the machine wakes who sleeps
 
 NETWORK: a file of zenoh's configuration laid over that of a client, or "-". CARS of truth: their ids, comma separated.
 """
@@ -23,6 +23,7 @@ RATE = 60  # poses a second
 WALL = 20.0  # m: the face of every wall, in x
 LANE = 8.0  # m between cars
 TELL = 0.1  # s: a host that was unheard for longer says so
+NAP, OVERSLEPT = 0.01, 0.02  # s: the probe sleeps so long, and says when it woke so much too late
 PERIOD = 2 * RATE  # ticks from one crash of all cars to the next
 WAIT = RATE // 4  # ticks that a car stands at its start before it goes
 UNIT = 1e-6  # m/s: a pose's number, modulo NUMBERS, stands in the velocity in z, which contacts leave as it is
@@ -115,17 +116,20 @@ class Host:
 
     def command(self):
         """Spawns what does not live and mends what does, on a session of its own: who waits for an answer sends no poses."""
-        session, mended = self.open(), time.monotonic()
+        session, mended, missing = self.open(), time.monotonic(), []
         while True:
             time.sleep(0.5)
             try:
                 if self.unheard > 0.7:
-                    for car in self.cars.values():
+                    missing = list(self.cars.values())
+                if missing:
+                    while missing:
                         try:
-                            pose = self.crumple.Pose((car.start, LANE * car.lane, 0.0))
-                            session.spawn(car.id, car.asset, pose)
+                            pose = self.crumple.Pose((missing[0].start, LANE * missing[0].lane, 0.0))
+                            session.spawn(missing[0].id, missing[0].asset, pose)
                         except self.crumple.Refused:
                             pass  # it lives
+                        missing.pop(0)
                 elif time.monotonic() > mended + MENDED and not self.calm:
                     mended = time.monotonic()
                     for car in self.cars:
@@ -185,33 +189,17 @@ def host(*arguments):
 # ---- zenoh's own -------------------------------------------------------------------------------------------------------------
 
 
-def configured(mode, ends, network="-"):
-    """A configuration of PyPI eclipse-zenoh. ends: of `listen` for a router, of `connect` for a client."""
+def configured(endpoint, network):
+    """A configuration of PyPI eclipse-zenoh for a client."""
     import zenoh
 
     config = zenoh.Config() if network == "-" else zenoh.Config.from_json5(text_of(network))
-    verb = "listen" if mode == "router" else "connect"
-    config.insert_json5("mode", json.dumps(mode))
-    config.insert_json5(f"{verb}/endpoints", json.dumps([ends]))
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
-    if verb == "connect":
-        config.insert_json5("connect/timeout_ms", "3000")
-        config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2}')
-    elif network == "-":
-        # As server/io/src/config.rs and server/router.json5 have it. With zenoh's two batches and 5 s whoever asks and never
-        # reads stops a router as long.
-        for queue in ("data_high", "data", "real_time", "data_low"):
-            config.insert_json5(f"transport/link/tx/queue/size/{queue}", "16")
-        config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", "1000000")
+    config.insert_json5("connect/timeout_ms", "3000")
+    config.insert_json5("connect/retry", '{"period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2}')
     return config
-
-
-def router(endpoint, network):
-    import zenoh
-
-    with zenoh.open(configured("router", endpoint, network)):
-        say(router=endpoint)
-        threading.Event().wait()
 
 
 def truth(endpoint, network, cars):
@@ -220,7 +208,7 @@ def truth(endpoint, network, cars):
 
     while True:
         try:
-            session = zenoh.open(configured("client", endpoint, network))
+            session = zenoh.open(configured(endpoint, network))
             break
         except zenoh.ZError:
             time.sleep(0.2)
@@ -233,6 +221,17 @@ def truth(endpoint, network, cars):
                     if reply.ok is not None:
                         held[f"{car}/{level}"] = f"{Keyframe.GetRootAs(bytes(reply.ok.payload)).Hash():016x}"
         say(held=held)
+
+
+# ---- the machine -------------------------------------------------------------------------------------------------------------
+
+
+def probe():
+    while True:
+        due = time.monotonic() + NAP
+        time.sleep(NAP)
+        if (late := time.monotonic() - due) > OVERSLEPT:
+            say(overslept=late, due=due)
 
 
 # ---- bad lines ---------------------------------------------------------------------------------------------------------------
@@ -279,7 +278,10 @@ class Link:
 
         async def take():
             while True:
-                data = await reader.read(PIECE)
+                try:
+                    data = await reader.read(PIECE)
+                except OSError:
+                    data = b""  # who is killed resets the connection: the other end must see it go
                 await self.moves.wait()
                 await queue.put((time.monotonic() + max(0, random.gauss(self.delay, self.jitter)), data))
                 if not data:
@@ -331,4 +333,4 @@ if __name__ == "__main__":
     if verb == "links":
         asyncio.run(serve_links())
     else:
-        {"host": host, "router": router, "truth": truth}[verb](*arguments)
+        {"host": host, "probe": probe, "truth": truth}[verb](*arguments)

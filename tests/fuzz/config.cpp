@@ -4,7 +4,7 @@
 
 #include "cli/command_line.h"
 #include "fuzz/small_world.h"
-#include "io/transport.h"
+#include "io/net.h"
 
 namespace crumple::fuzz {
 

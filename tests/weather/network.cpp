@@ -574,7 +574,7 @@ const std::deque<Seen>& seen() { return recent; }
 
 }  // namespace crumple::weather
 
-// ---- transport.h ----
+// ---- net.h ----
 
 const char* transport_error(void) { return error.c_str(); }
 const char* transport_version(void) { return "simulated"; }
@@ -649,6 +649,9 @@ int net_subscribe(Net* session, const char* expression, uint32_t depth, size_t l
   declare(*session, session->subscribed.back(), &Face::subscribed);
   return TRANSPORT_OK;
 }
+
+// No bound of what waits is met here.
+int net_prefer(Net*, const char*) { return TRANSPORT_OK; }
 
 int net_unsubscribe(Net* session, const char* expression) {
   if (const int status = call(session, 4)) return status;

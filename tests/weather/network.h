@@ -1,4 +1,4 @@
-// transport.h over a simulated network: every session is a client of one router. What zenoh promises holds (a link keeps the
+// net.h over a simulated network: every session is a client of one router. What zenoh promises holds (a link keeps the
 // order of each of its queues; whoever is linked anew declares all again; tokens go with the link), and nothing more.
 #pragma once
 
@@ -13,11 +13,11 @@
 #include <vector>
 
 #include "fibers.h"
-#include "io/transport.h"
+#include "io/net.h"
 
 namespace crumple::weather {
 
-inline constexpr Time lease = 3 * second;  // as transport.h has it
+inline constexpr Time lease = 3 * second;  // as net.h has it
 
 class Draw {
  public:
@@ -67,7 +67,7 @@ void digest(uint64_t);
 
 std::string& name_of(Net*);
 void set_latency(Net*, Time latency, double jitter);
-// Its process ends in this moment, or after so many more calls of transport.h. The router learns it at once, or after the
+// Its process ends in this moment, or after so many more calls of net.h. The router learns it at once, or after the
 // lease.
 void kill(Net*, bool at_once);
 void kill_after(Net*, uint64_t calls, bool at_once);

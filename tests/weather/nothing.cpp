@@ -1,9 +1,10 @@
-// The rest of transport.h, which no schedule may need. One that is missing here makes the linker take the real library, and say
+// The rest of server/io, which no schedule may need. One that is missing here makes the linker take the real library, and say
 // that what network.cpp has is defined twice.
 #include <cstdio>
 #include <cstdlib>
 
-#include "io/transport.h"
+#include "io/mcap.h"
+#include "io/metrics.h"
 
 namespace {
 

@@ -151,6 +151,11 @@ pub struct Place {
 }
 
 impl Place {
+    /// One address, or what counts as one.
+    pub fn from(&self) -> IpAddr {
+        self.from
+    }
+
     fn set(&self, to: Use) {
         *self.state.lock().unwrap() = (to, Instant::now());
     }

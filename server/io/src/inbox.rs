@@ -3,13 +3,13 @@
 //! replaces the older (zenoh has no such conflation). All together have one bound in bytes. Events leave in the order in which they came.
 
 use crate::bytes::Aligned;
-use std::collections::{BTreeMap, HashMap};
-use std::ffi::CString;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ffi::{CStr, CString};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 
-/// As NetKind in transport.h.
+/// As NetKind in net.h.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Kind {
     Sample = 0,
@@ -47,8 +47,11 @@ struct Source {
 }
 
 impl Source {
-    fn is_full(&self) -> bool {
-        self.depth > 0 && self.waiting >= self.depth
+    fn is_full(&self, key: &CStr) -> bool {
+        match self.depth {
+            0 => self.latest.len() >= MAX_LATEST_KEYS && !self.latest.contains_key(key),
+            depth => self.waiting >= depth,
+        }
     }
 }
 
@@ -57,13 +60,17 @@ struct State {
     next: u64,
     waiting: BTreeMap<u64, (SourceId, Event)>,
     bytes: usize,
+    preferred: HashSet<CString>,
     sources: Vec<Source>,
     free: Vec<SourceId>, // given back; what still waits of them is taken like the rest
 }
 
 impl State {
-    fn is_full(&self, source: SourceId, size: usize) -> bool {
-        self.sources[source].is_full() || self.bytes + size > MAX_BYTES
+    fn is_full(&self, source: SourceId, key: &CStr, size: usize) -> bool {
+        if self.sources[source].depth == 0 && self.preferred.contains(key) {
+            return false;
+        }
+        self.sources[source].is_full(key) || self.bytes + size > MAX_BYTES
     }
 }
 
@@ -127,6 +134,11 @@ impl Inbox {
         state.sources.len() - 1
     }
 
+    /// In place of those before.
+    pub fn prefer(&self, keys: HashSet<CString>) {
+        self.state.lock().unwrap().preferred = keys;
+    }
+
     pub fn free_source(&self, source: SourceId) {
         self.state.lock().unwrap().free.push(source);
     }
@@ -141,8 +153,8 @@ impl Inbox {
     }
 
     /// Tells before a copy is made whether it would be refused, and then counts it as such.
-    pub fn refuses(&self, source: SourceId, kind: Kind, size: usize) -> bool {
-        let full = self.state.lock().unwrap().is_full(source, size);
+    pub fn refuses(&self, source: SourceId, kind: Kind, key: &CStr, size: usize) -> bool {
+        let full = self.state.lock().unwrap().is_full(source, key, size);
         if full {
             self.counts.refused(kind);
         }
@@ -153,19 +165,14 @@ impl Inbox {
     pub fn push(&self, source: SourceId, event: Event) -> bool {
         let mut state = self.state.lock().unwrap();
         // The end of the answers always passes: the asker waits for it, and there is one a question.
-        if state.is_full(source, event.size()) && event.kind != Kind::ReplyEnd {
+        if state.is_full(source, &event.key, event.size()) && event.kind != Kind::ReplyEnd {
             self.counts.refused(event.kind);
             return false;
         }
         let number = state.next;
         let mut older = None;
         if state.sources[source].depth == 0 {
-            let latest = &mut state.sources[source].latest;
-            if latest.len() >= MAX_LATEST_KEYS && !latest.contains_key(&event.key) {
-                self.counts.refused(event.kind);
-                return false;
-            }
-            older = latest.insert(event.key.clone(), number);
+            older = state.sources[source].latest.insert(event.key.clone(), number);
         }
         state.next += 1;
         let replaced = older.and_then(|older| state.waiting.remove(&older));

@@ -1,5 +1,5 @@
-//! A zenoh session, pull-based. Out: two threads do every zenoh call that could wait, one publishes, one asks and answers, so
-//! that an asker who takes nothing cannot hold the streams up. In: zenoh's callbacks copy into the bounded inbox and wake the
+//! A zenoh session, pull-based. Out: threads do every zenoh call that could wait: one publishes, one asks, and up to eight answer,
+//! so that an asker who takes nothing holds up neither the streams nor other askers. In: zenoh's callbacks copy into the bounded inbox and wake the
 //! poller, nothing else. Samples are sent with Drop: a frozen subscriber loses samples, the others none.
 
 use crate::bytes::Aligned;
@@ -8,7 +8,7 @@ use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO, said};
 use crate::inbox::{Counts, Event, Inbox, Kind, REPLIES, SourceId};
 use crate::queue::{Next, Queue, Refused};
 use std::any::Any;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ffi::CString;
 use std::ops::Bound;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -26,9 +26,12 @@ use zenoh::{Session, Wait};
 /// Samples that wait for the publishing thread; it is behind only while zenoh waits for a slow link (1 ms a sample at most).
 const PUT_BYTES: usize = 32 << 20;
 const PUT_ITEMS: usize = 1 << 16;
-/// Questions, answers and declarations that wait for the other thread.
+/// Questions and declarations that wait for their thread, and answers that wait for theirs.
 const ASK_BYTES: usize = 64 << 20;
 const ASK_ITEMS: usize = 1 << 14;
+/// Threads that answer, begun when those before them are busy: zenoh waits in them for a line that takes nothing, 1 s at most. It does
+/// not say who asked, so whoever leaves eight answers of more than a line holds untaken still holds the others up.
+const MAX_ANSWERING: usize = 8;
 /// Answers to our questions that were not polled yet.
 const MAX_REPLIES: usize = 4096;
 /// Queries that were polled and not answered yet; beyond it the oldest is given up, so that its asker hears the end.
@@ -41,6 +44,8 @@ const MAX_KEYS: usize = 1 << 13;
 /// has such a character.
 const LAST_KEY: &str = "crumple/1/~/health";
 const LAST_WAIT: Duration = Duration::from_secs(1);
+/// Keys that are preferred: two of each of 64 hosts, twice.
+const MAX_PREFERRED: usize = 256;
 /// Alive and gone reports that were not polled yet.
 const MAX_REPORTS: usize = 1 << 16;
 /// Questions have a priority that no sample has: zenoh keeps a queue each, and an answer inherits it from the question, so a
@@ -75,7 +80,12 @@ enum Ask {
     Retract(KeyExpr<'static>),
     Watch(KeyExpr<'static>, SourceId),
     Get { key: KeyExpr<'static>, data: Vec<u8>, timeout: Duration, ticket: u64 },
-    Reply { query: Box<Waiting>, data: Vec<u8>, failed: bool },
+}
+
+struct Answer {
+    query: Box<Waiting>,
+    data: Vec<u8>,
+    failed: bool,
 }
 
 /// A query and the key to answer it under.
@@ -89,7 +99,8 @@ struct Shared {
     inbox: Inbox,
     open_queries: Mutex<BTreeMap<u64, Box<Waiting>>>,
     tickets: AtomicU64,
-    asks: Queue<Ask>,
+    answers: Queue<Answer>,
+    answering: Mutex<Vec<JoinHandle<()>>>,
 }
 
 pub struct Net {
@@ -98,6 +109,7 @@ pub struct Net {
     shared: Arc<Shared>,
     sent: Sent,
     puts: Arc<Queue<Put>>,
+    asks: Arc<Queue<Ask>>,
     keys: Mutex<BTreeMap<String, Arc<Key>>>,
     keys_so_far: AtomicU64,
     threads: Vec<JoinHandle<()>>,
@@ -123,16 +135,18 @@ impl Net {
             inbox: Inbox::new(MAX_REPLIES),
             open_queries: Mutex::default(),
             tickets: AtomicU64::new(1),
-            asks: Queue::new(ASK_BYTES, ASK_ITEMS),
+            answers: Queue::new(ASK_BYTES, ASK_ITEMS),
+            answering: Mutex::default(),
         });
         let puts = Arc::new(Queue::new(PUT_BYTES, PUT_ITEMS));
+        let asks = Arc::new(Queue::new(ASK_BYTES, ASK_ITEMS));
         let publishing = {
             let (session, puts) = (session.clone(), puts.clone());
             thread("net publish", move || publish(&session, &puts))?
         };
         let asking = {
-            let (session, shared) = (session.clone(), shared.clone());
-            thread("net ask", move || ask(&session, &shared))?
+            let (session, shared, asks) = (session.clone(), shared.clone(), asks.clone());
+            thread("net ask", move || ask(&session, &shared, &asks))?
         };
         Ok(Net {
             session,
@@ -140,6 +154,7 @@ impl Net {
             shared,
             sent: Sent::default(),
             puts,
+            asks,
             keys: Mutex::default(),
             keys_so_far: AtomicU64::new(0),
             threads: vec![publishing, asking],
@@ -150,8 +165,10 @@ impl Net {
     /// Publishes and answers what is queued, undeclares everything, closes the session.
     pub fn close(mut self) {
         self.puts.close();
-        self.shared.asks.close();
-        for thread in self.threads.drain(..) {
+        self.asks.close();
+        self.shared.answers.close();
+        let answering = std::mem::take(&mut *self.shared.answering.lock().unwrap());
+        for thread in self.threads.drain(..).chain(answering) {
             _ = thread.join();
         }
         reach_the_other_end(&self.session);
@@ -224,6 +241,16 @@ impl Net {
         self.ask(Ask::Subscribe(key, source), 0)
     }
 
+    pub fn prefer(&self, keys: &str) -> Result<(), Fail> {
+        let keys: HashSet<_> = keys.split(',').filter_map(|key| CString::new(key).ok()).collect();
+        if keys.len() > MAX_PREFERRED {
+            let sentence = format!("{} keys are preferred: {MAX_PREFERRED} at most may be", keys.len());
+            return Err(Fail::new(BAD_ARGUMENT, sentence));
+        }
+        self.shared.inbox.prefer(keys);
+        Ok(())
+    }
+
     pub fn unsubscribe(&self, key: &str) -> Result<(), Fail> {
         self.ask(Ask::Unsubscribe(key_expression(key)?), 0)
     }
@@ -261,7 +288,7 @@ impl Net {
         let Some(query) = self.shared.open_queries.lock().unwrap().remove(&ticket) else {
             return Err(Fail::new(BAD_ARGUMENT, format!("no query waits under ticket {ticket}: it was answered or given up")));
         };
-        self.ask(Ask::Reply { query, data: data.to_vec(), failed }, data.len())
+        self.shared.answer(Answer { query, data: data.to_vec(), failed }, data.len()).map_err(refusal)
     }
 
     /// What was polled before is freed, then up to `most` events are put into `polled`.
@@ -287,7 +314,7 @@ impl Net {
     }
 
     fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
-        self.shared.asks.push(ask, bytes).map_err(refusal)
+        self.asks.push(ask, bytes).map_err(refusal)
     }
 }
 
@@ -409,14 +436,14 @@ fn watch_matching(session: &Session, key: &Arc<Key>, declared: &mut HashMap<u8, 
     }
 }
 
-// ---- the asking and answering thread ----
+// ---- the asking thread ----
 
-fn ask(session: &Session, shared: &Arc<Shared>) {
+fn ask(session: &Session, shared: &Arc<Shared>, asks: &Queue<Ask>) {
     let mut declared: Vec<Box<dyn Any>> = Vec::new(); // dropped, so undeclared, at the end
     let mut tokens = HashMap::new();
     let mut subscribers = HashMap::new();
     loop {
-        let done = match shared.asks.pop(None) {
+        let done = match asks.pop(None) {
             Next::Item(Ask::Subscribe(key, source)) => {
                 let shared = shared.clone();
                 let take = move |sample: Sample| shared.sample(source, &sample);
@@ -446,13 +473,32 @@ fn ask(session: &Session, shared: &Arc<Shared>) {
                 liveliness.declare_subscriber(key).history(true).callback(take).wait().map(|it| declared.push(Box::new(it)))
             }
             Next::Item(Ask::Get { key, data, timeout, ticket }) => get(session, shared, key, data, timeout, ticket),
-            Next::Item(Ask::Reply { query, data, failed: true }) => query.query.reply_err(data).wait(),
-            Next::Item(Ask::Reply { query, data, failed: false }) => query.query.reply(&query.key, data).wait(),
             Next::TimedOut => Ok(()),
             Next::Closed => return,
         };
-        // Keys were checked by the caller, so zenoh refuses only on a closed session; an asker who is gone needs no answer.
-        _ = done;
+        _ = done; // keys were checked by the caller, so zenoh refuses only on a closed session
+    }
+}
+
+// ---- the answering threads ----
+
+impl Shared {
+    fn answer(self: &Arc<Self>, answer: Answer, bytes: usize) -> Result<(), Refused> {
+        self.answers.push(answer, bytes)?;
+        let mut answering = self.answering.lock().unwrap();
+        if self.answers.is_behind() && answering.len() < MAX_ANSWERING {
+            let shared = self.clone();
+            // one that cannot be had is missed only while those before it wait
+            answering.extend(thread("net answer", move || shared.work()));
+        }
+        Ok(())
+    }
+
+    /// An asker who is gone needs no answer.
+    fn work(&self) {
+        while let Next::Item(Answer { query, data, failed }) = self.answers.pop(None) {
+            _ = if failed { query.query.reply_err(data).wait() } else { query.query.reply(&query.key, data).wait() };
+        }
     }
 }
 
@@ -492,7 +538,7 @@ impl Asked {
             Ok(sample) => (false, c_key(sample.key_expr()), sample.payload()),
             Err(error) => (true, self.key.clone(), error.payload()),
         };
-        if self.shared.inbox.refuses(REPLIES, Kind::Reply, payload.len()) {
+        if self.shared.inbox.refuses(REPLIES, Kind::Reply, &key, payload.len()) {
             return;
         }
         let event = Event { kind: Kind::Reply, failed, key, data: aligned(payload), ticket: self.ticket };
@@ -514,12 +560,13 @@ impl Shared {
     fn sample(&self, source: SourceId, sample: &Sample) {
         // Nothing here deletes keys; a delete has no payload to hand on.
         let bad = sample.kind() == SampleKind::Delete || !is_plain(sample.key_expr());
+        let key = c_key(sample.key_expr());
         if bad {
             self.inbox.counts.refused(Kind::Sample);
         } else if !self.inbox.is_oversized(source, sample.payload().len())
-            && !self.inbox.refuses(source, Kind::Sample, sample.payload().len())
+            && !self.inbox.refuses(source, Kind::Sample, &key, sample.payload().len())
         {
-            let (key, data) = (c_key(sample.key_expr()), aligned(sample.payload()));
+            let data = aligned(sample.payload());
             self.inbox.push(source, Event { kind: Kind::Sample, failed: false, key, data, ticket: 0 });
         }
     }
@@ -535,27 +582,27 @@ impl Shared {
 
     /// A query is answered under the queryable's own key, or, where that names many, under the key asked for. What it brought is
     /// not kept with it until then.
-    fn query(&self, source: SourceId, own: &KeyExpr<'static>, mut query: Query) {
+    fn query(self: &Arc<Self>, source: SourceId, own: &KeyExpr<'static>, mut query: Query) {
         let ticket = self.tickets.fetch_add(1, Relaxed);
         let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
         _ = query.attachment_mut().map(std::mem::take);
         let too_long = |what: &str| format!("{what} is longer than what may be asked here").into_bytes();
+        let key = c_key(query.key_expr());
         let refused = if !is_plain(query.key_expr()) || query.parameters().as_str().len() > MAX_KEY {
             self.inbox.counts.refused(Kind::Query);
             Some(too_long("the key or its parameters"))
         } else if self.inbox.is_oversized(source, payload.len()) {
             Some(too_long(&format!("a question of {} bytes", payload.len())))
-        } else if self.inbox.refuses(source, Kind::Query, payload.len()) {
+        } else if self.inbox.refuses(source, Kind::Query, &key, payload.len()) {
             Some(b"too many questions wait here: ask again later".to_vec())
         } else {
             None
         };
         if let Some(data) = refused {
             let query = Box::new(Waiting { query, key: own.clone() });
-            _ = self.asks.push(Ask::Reply { query, data, failed: true }, 64); // if full: the end without an answer
+            _ = self.answer(Answer { query, data, failed: true }, 64); // if full: the end without an answer
             return;
         }
-        let key = c_key(query.key_expr());
         let data = aligned(&payload);
         drop(payload);
         let answer_key = if own.is_wild() { query.key_expr().clone() } else { own.clone() };
@@ -574,7 +621,7 @@ impl Shared {
         let refused = self.open_queries.lock().unwrap().remove(&ticket);
         if let Some(query) = refused {
             let sentence = b"too many questions wait here: ask again later".to_vec();
-            _ = self.asks.push(Ask::Reply { query, data: sentence, failed: true }, 64); // if full: the end without an answer
+            _ = self.answer(Answer { query, data: sentence, failed: true }, 64); // if full: the end without an answer
         }
     }
 }

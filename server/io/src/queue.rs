@@ -1,4 +1,4 @@
-//! A bounded queue from any thread to one worker thread. What comes in: items with a size; what goes out: the same items in
+//! A bounded queue from any thread to one worker thread, or a few. What comes in: items with a size; what goes out: the same items in
 //! order. Never makes the giver wait: a full queue refuses, and the giver counts it.
 
 use std::collections::VecDeque;
@@ -15,6 +15,7 @@ pub struct Queue<T> {
 struct State<T> {
     items: VecDeque<(T, usize)>,
     bytes: usize,
+    popping: usize, // threads that wait for an item
     closed: bool,
 }
 
@@ -31,7 +32,7 @@ pub enum Next<T> {
 
 impl<T> Queue<T> {
     pub fn new(max_bytes: usize, max_items: usize) -> Queue<T> {
-        let state = State { items: VecDeque::new(), bytes: 0, closed: false };
+        let state = State { items: VecDeque::new(), bytes: 0, popping: 0, closed: false };
         Queue { state: Mutex::new(state), changed: Condvar::new(), max_bytes, max_items }
     }
 
@@ -46,22 +47,30 @@ impl<T> Queue<T> {
         }
         state.bytes += bytes;
         state.items.push_back((item, bytes));
-        let was_empty = state.items.len() == 1;
+        let wakes = state.popping > 0;
         drop(state);
-        if was_empty {
+        if wakes {
             self.changed.notify_one();
         }
         Ok(())
+    }
+
+    /// Whether more items wait than threads do.
+    pub fn is_behind(&self) -> bool {
+        let state = self.state.lock().unwrap();
+        state.items.len() > state.popping
     }
 
     /// The next item; after close, what is left and then Closed.
     pub fn pop(&self, timeout: Option<Duration>) -> Next<T> {
         let mut state = self.state.lock().unwrap();
         let idle = |state: &mut State<T>| state.items.is_empty() && !state.closed;
+        state.popping += 1;
         state = match timeout {
             None => self.changed.wait_while(state, idle).unwrap(),
             Some(timeout) => self.changed.wait_timeout_while(state, timeout, idle).unwrap().0,
         };
+        state.popping -= 1;
         match state.items.pop_front() {
             Some((item, bytes)) => {
                 state.bytes -= bytes;

@@ -39,7 +39,7 @@ const MAX_ANSWER: usize = 1024;
 
 /// Of what is posted: a regions file of 8,000 dabs.
 const MAX_REQUEST: usize = 1 << 20;
-/// Requests at a time that arrive or wait.
+/// Requests at a time that arrive or wait, half of them of one address.
 const MAX_WAITING: usize = 64;
 /// Until a request must have been answered.
 const ANSWERED: Duration = Duration::from_secs(30);
@@ -55,7 +55,14 @@ pub struct Asked {
 struct Requests {
     last: u64,
     line: VecDeque<Asked>,
-    answers: HashMap<u64, oneshot::Sender<Response>>,
+    answers: HashMap<u64, (IpAddr, oneshot::Sender<Response>)>,
+}
+
+impl Requests {
+    fn has_room(&self, from: IpAddr) -> bool {
+        let of_it = self.answers.values().filter(|(other, _)| *other == from).count();
+        self.answers.len() < MAX_WAITING && of_it < MAX_WAITING / 2
+    }
 }
 
 /// A browser that waits; one that goes leaves nothing behind.
@@ -175,7 +182,7 @@ impl Web {
         let status = StatusCode::from_u16(status).map_err(|e| Fail::new(BAD_ARGUMENT, format!("status {status}: {e}")))?;
         let head = [(header::CONTENT_TYPE, media_type.to_string())];
         let response = (status, head, Bytes::copy_from_slice(data)).into_response();
-        if let Some(waits) = self.shared.requests.lock().unwrap().as_mut().and_then(|all| all.answers.remove(&ticket)) {
+        if let Some((_, waits)) = self.shared.requests.lock().unwrap().as_mut().and_then(|all| all.answers.remove(&ticket)) {
             _ = waits.send(response);
         }
         Ok(())
@@ -219,7 +226,7 @@ async fn page(State(shared): State<Arc<Shared>>, uri: Uri) -> Response {
     }
 }
 
-async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Response {
+async fn request(State(shared): State<Arc<Shared>>, Extension(place): Extension<Arc<Place>>, request: Request) -> Response {
     const BUSY: &str = "too many requests wait here: try again later\n";
     let path = CString::new(request.uri().path()).unwrap_or_default();
     if shared.requests.lock().unwrap().is_none() {
@@ -227,12 +234,12 @@ async fn request(State(shared): State<Arc<Shared>>, request: Request) -> Respons
     }
     let (waiting, answer) = {
         let mut all = shared.requests.lock().unwrap();
-        let Some(requests) = all.as_mut().filter(|requests| requests.answers.len() < MAX_WAITING) else {
+        let Some(requests) = all.as_mut().filter(|requests| requests.has_room(place.from())) else {
             return (StatusCode::SERVICE_UNAVAILABLE, BUSY).into_response();
         };
         requests.last += 1;
         let (ticket, (sender, answer)) = (requests.last, oneshot::channel());
-        requests.answers.insert(ticket, sender);
+        requests.answers.insert(ticket, (place.from(), sender));
         (Waiting { shared: shared.clone(), ticket }, answer)
     };
     let Ok(body) = timeout(ANSWERED, to_bytes(request.into_body(), MAX_REQUEST)).await else {
@@ -317,7 +324,7 @@ async fn live(mut socket: WebSocket, shared: &Shared) {
     }
 }
 
-/// The first of these; transport.h says how it is laid out.
+/// The first of these; web.h says how it is laid out.
 fn batch(round: &mut VecDeque<Slot>) -> Vec<u8> {
     let mut bytes = Vec::new();
     while let Some(slot) = round.front().filter(|slot| bytes.is_empty() || bytes.len() + slot.data.len() <= MAX_BATCH) {

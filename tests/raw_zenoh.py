@@ -1,0 +1,111 @@
+"""A zenoh session made by hand, so that it may send what zenoh's own never does. Without extensions."""
+
+import os
+import random
+import socket
+import struct
+
+CLIENT, ROUTER, PEER = 2, 0, 1
+INIT, OPEN, CLOSE, KEEP_ALIVE, FRAME, FRAGMENT = 1, 2, 3, 4, 5, 6  # messages of a transport
+RESPONSE_FINAL, RESPONSE, REQUEST, PUSH, DECLARE, INTEREST = 0x1A, 0x1B, 0x1C, 0x1D, 0x1E, 0x19  # messages in a frame
+RELIABLE, MORE = 0x20, 0x40
+NAMED = 0x60  # with the key's text, after the number of a declared key
+KEY, SUBSCRIBER, QUERYABLE, TOKEN = 0, 2, 4, 6  # declarations; one more takes it back
+FINAL = 0x1A  # the end of what an interest asked for
+PUT, QUERY, REPLY = 1, 3, 4
+EVERYTHING, TOKENS = 0x0F, 0x08  # that an interest may be in: keys, subscribers, queryables, tokens
+
+
+def number(value):
+    out = b""
+    while value > 127:
+        out += bytes([value & 127 | 128])
+        value >>= 7
+    return out + bytes([value])
+
+
+def sized(data):
+    return number(len(data)) + data
+
+
+def wire(key, scope=0):
+    return number(scope) + sized(key if isinstance(key, bytes) else key.encode())
+
+
+def declare(kind, id, key, scope=0):
+    return bytes([DECLARE, kind | (0x20 if kind == KEY else NAMED)]) + number(id) + wire(key, scope)
+
+
+def interest(id, key, scope=0, mode=3, what=EVERYTHING):
+    """mode: 1 for what is now, 2 for what comes, 3 for both"""
+    return bytes([INTEREST | mode << 5]) + number(id) + bytes([what | 0x70]) + wire(key, scope)
+
+
+def push(key, data=b"x", scope=0):
+    return bytes([PUSH | NAMED]) + wire(key, scope) + bytes([PUT]) + sized(data)
+
+
+def request(id, key, scope=0):
+    return bytes([REQUEST | NAMED]) + number(id) + wire(key, scope) + bytes([QUERY])
+
+
+def response(id, key, scope=0):
+    return bytes([RESPONSE | NAMED]) + number(id) + wire(key, scope) + bytes([REPLY, PUT]) + sized(b"x")
+
+
+class Raw:
+    def __init__(self, endpoint, opened=True, lease=100_000, kind=CLIENT, patience=60.0):
+        host, port = endpoint.split("/")[1].rsplit(":", 1)
+        self.socket = socket.create_connection((host, int(port)), timeout=patience)
+        self.next = random.randrange(1 << 20)
+        self.send(bytes([INIT, 9, 15 << 4 | kind]) + os.urandom(15) + b"\1")
+        if opened:
+            self.open(lease)
+
+    def open(self, lease):
+        """lease: seconds of silence, as it asks for"""
+        told = self.receive()
+        at = 3 + (told[2] >> 4) + (3 if told[0] & 0x40 else 0)
+        size = shift = 0
+        while True:
+            size, shift, at = size | (told[at] & 127) << shift, shift + 7, at + 1
+            if told[at - 1] < 128:
+                break
+        self.send(bytes([OPEN | 0x40]) + number(lease) + number(self.next) + sized(told[at : at + size]))
+        if self.receive()[0] & 0x1F != OPEN:
+            raise ConnectionError("not let in")
+
+    def send(self, *messages):
+        self.socket.sendall(b"".join(struct.pack("<H", len(each)) + each for each in messages))
+
+    def receive(self):
+        size = struct.unpack("<H", self.exactly(2))[0]
+        return self.exactly(size)
+
+    def exactly(self, size):
+        out = b""
+        while len(out) < size:
+            if not (more := self.socket.recv(size - len(out))):
+                raise ConnectionError("the other end is gone")
+            out += more
+        return out
+
+    def number(self):
+        self.next = self.next + 1 & 0xFFFFFFF
+        return number(self.next - 1 & 0xFFFFFFF)
+
+    def frames(self, *bodies):
+        self.send(*(bytes([FRAME | RELIABLE]) + self.number() + each for each in bodies))
+
+    def fragments(self, *pieces):
+        """Of a message that does not end."""
+        self.send(*(bytes([FRAGMENT | RELIABLE | MORE]) + self.number() + each for each in pieces))
+
+    def wait_for(self, bytes_of_it):
+        """A message that holds these bytes."""
+        while bytes_of_it not in (told := self.receive()):
+            pass
+        return told
+
+    def close(self):
+        self.socket.close()
