@@ -65,7 +65,7 @@ double closed_form_set(const Material& material) {
   for (int k = 0; k < 60; ++k) {
     const double r = 0.5 * (low + high);
     const double stress = 0.5 * (r * r - (2 * r - 1) / (r * r));
-    (stress < double(material.yield) + double(material.hardening) * plastic(r) ? low : high) = r;
+    (stress < double(material.yield_strain) + double(material.hardening) * plastic(r) ? low : high) = r;
   }
   return std::expm1(plastic(low));
 }

@@ -218,10 +218,10 @@ void creep(const Model& model, const Parameters& parameters, Body& body) {
 void deform_baseline(Baseline baseline, const Model& model, const Structure& structure, const Parameters& parameters,
                      const Mass& mass, std::span<const Obstacle> obstacles, double seconds, Body& body, Motion& motion) {
   const std::vector<Vec3> before = body.node;
-  std::vector<Candidates> candidates;
-  std::vector<Contact> contacts;
-  find_candidates(model, body, motion, mass, obstacles, seconds, candidates);
-  if (candidates.empty() && body.settled && !body.touching) {  // what held it may just have gone
+  ContactSet found;
+  const std::vector<Contact>& contacts = found.contact;
+  find_candidates({model, parameters, mass, obstacles, seconds}, body, motion, found);
+  if (found.candidate.empty() && body.settled && !body.touching) {  // what held it may just have gone
     motion.pose = advance(motion, mass, seconds);
     return;
   }
@@ -229,7 +229,7 @@ void deform_baseline(Baseline baseline, const Model& model, const Structure& str
   const double h = seconds / count;
   for (int k = 0; k < count; ++k) {
     const Pose to = advance(motion, mass, h);
-    find_contacts(body, obstacles, candidates, motion.pose, to, k * h, h, contacts);
+    find_contacts(body, obstacles, {motion.pose, to, k * h, h}, found);
     motion.pose = to;
     switch (baseline) {
       case Baseline::naive_jacobi:

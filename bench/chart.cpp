@@ -28,7 +28,8 @@
 #include "machine.h"
 #include "rooms.h"
 #include "sim/deform.h"
-#include "sim/nodal.h"
+#include "sim/scratch.h"
+#include "sim/skin.h"
 
 namespace {
 
@@ -162,7 +163,7 @@ Play play(const Crash& crash, const Method& method, int iterations) {
         deform_baseline(*method.baseline, model, crash.structure, parameters, mass, {&obstacle, 1}, tick_seconds, body, motion);
         return;
       }
-      const Response response = deform(model, parameters, mass, {&obstacle, 1}, tick_seconds, *scratch, body, motion);
+      const Response response = deform({model, parameters, mass, {&obstacle, 1}, tick_seconds}, *scratch, body, motion);
       contacts = response.contacts;
       failed = failed || response.recovered;
     };
@@ -358,7 +359,8 @@ void measure_untouched(const std::string& name, const Model& model, Table& table
   std::vector<double> milliseconds;
   for (int k = 0; k < 5; ++k) {
     const double start = thread_seconds();
-    for (int call = 0; call < calls; ++call) deform(model, {}, mass_of(model, false), {}, tick_seconds, *scratch, body, motion);
+    for (int call = 0; call < calls; ++call)
+      deform({model, {}, mass_of(model, false), {}, tick_seconds}, *scratch, body, motion);
     milliseconds.push_back(1e3 * (thread_seconds() - start) / calls);
   }
   Row row{"untouched", "nodal", by_default, 1, {}};
@@ -378,7 +380,7 @@ void measure_push(const std::string& name, const Model& model, Table& table) {
     const auto run = [&](double velocity, int most) {
       wall.velocity.x() = velocity;
       for (int k = 0; k < most && !(k > 3 && body.settled); ++k) {
-        deform(model, {}, mass_of(model, true), {&wall, 1}, tick_seconds, *scratch, body, motion);
+        deform({model, {}, mass_of(model, true), {&wall, 1}, tick_seconds}, *scratch, body, motion);
         wall.pose = advance(wall.pose, wall.velocity, wall.angular_velocity, tick_seconds);
       }
     };
@@ -399,10 +401,10 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
   Body body = make_body(model);
   Motion motion;
   motion.velocity.x() = speed;
-  const ScratchHandle handle = make_scratch();
-  Scratch& s = *handle;
+  const ScratchHandle scratch = make_scratch();
+  NodalSolver& s = scratch->solver;
   const Obstacle wall = obstacle_of("wall", model);
-  for (int k = 0; k < 2; ++k) deform(model, {}, mass_of(model, false), {&wall, 1}, tick_seconds, s, body, motion);
+  for (int k = 0; k < 2; ++k) deform({model, {}, mass_of(model, false), {&wall, 1}, tick_seconds}, *scratch, body, motion);
   const Blocks& blocks = *model.blocks;
   const uint32_t groups = uint32_t(blocks.group.size());
   for (size_t i = 0; i < s.direction.size(); ++i) s.direction[i] = {i % 2 ? 1e-3f : 0, 1e-3f, 2e-3f, 0};
@@ -437,7 +439,7 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
                        .context = nullptr};
   const TetView view{s.node.data(), blocks.group.data(), s.tets.data(), s.region.data(), s.law.data(), s.stirred.data()};
   std::vector<uint16_t> every(groups, 0xffff);
-  kernels().renew(view, 0, groups, s.stiffness.data(), every.data());
+  kernels().update_secant_moduli(view, 0, groups, s.stiffness.data(), every.data());
   for (const char* instructions : {"avx512", "avx2", "portable"}) {
     const Kernels* kernel = kernels(instructions);
     if (!kernel) continue;
@@ -456,12 +458,12 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
       table.add(name, model, row);
     };
     add("sweep", [&] {
-      for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernel->visit(nodes, blocks.colour[c], blocks.colour[c + 1]);
+      for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) kernel->relax_nodes(nodes, blocks.colour[c], blocks.colour[c + 1]);
     });
-    add("renew", [&] { kernel->renew(view, 0, groups, s.stiffness.data(), s.flowing.data()); });
+    add("renew", [&] { kernel->update_secant_moduli(view, 0, groups, s.stiffness.data(), s.flowing.data()); });
     add("slope", [&] {
       double derivative[6] = {};
-      kernel->slope(view, 0, groups, s.stiffness.data(), s.direction.data(), derivative);
+      kernel->line_derivative(view, 0, groups, s.stiffness.data(), s.direction.data(), derivative);
     });
     add("flow", [&] { kernel->flow(view, s.tets.data(), 0, groups, s.flowing.data()); });
   }

@@ -17,6 +17,7 @@
 #include "bake/load_car.h"
 #include "car/car.h"
 #include "sim/deform.h"
+#include "sim/skin.h"
 #include "tick/surface_update.h"
 #include "viewer/surface.h"
 
@@ -51,7 +52,7 @@ std::vector<Frame> crash(const Car& car, const std::string& scene) {
   motion.velocity = {speed, 0, 0};
   std::vector<Frame> frames;
   for (int k = 0; k < 30; ++k) {
-    const Response response = deform(model, Parameters{}, mass, {&obstacle, 1}, 1.0 / 60, *scratch, body, motion);
+    const Response response = deform({model, Parameters{}, mass, {&obstacle, 1}, 1.0 / 60}, *scratch, body, motion);
     if (response.contacts == 0) continue;
     Frame& frame = frames.emplace_back();
     frame.node.resize(car.skin_node.size());

@@ -42,7 +42,7 @@ struct Run {
     wall.pose.position = {front + 0.5 + gap, 0, 0};
   }
   void tick(double rate) {
-    const Response response = deform(model, parameters, mass, {&wall, 1}, 1 / rate, *scratch, body, motion);
+    const Response response = deform({model, parameters, mass, {&wall, 1}, 1 / rate}, *scratch, body, motion);
     wall.pose = advance(wall.pose, wall.velocity, wall.angular_velocity, 1 / rate);
     dynamic = std::max(dynamic, front_crush());
     peak = std::max(peak, response.impulse.norm() / mass.mass * rate / 9.81);

@@ -44,7 +44,7 @@ void hold(const HeldMesh& mesh, const Parameters& parameters, std::span<const Ob
           Body& body) {
   Motion motion;
   body.settled = false;
-  deform(mesh.model(), parameters, fixed_mass(), obstacles, substep_seconds(parameters), scratch, body, motion);
+  deform({mesh.model(), parameters, fixed_mass(), obstacles, substep_seconds(parameters)}, scratch, body, motion);
 }
 
 void come_to_rest(const HeldMesh& mesh, const Parameters& parameters, Scratch& scratch, Body& body) {
@@ -52,7 +52,7 @@ void come_to_rest(const HeldMesh& mesh, const Parameters& parameters, Scratch& s
   for (Vec3& step : body.step) step.setZero();
   body.settled = false;
   for (int k = 0; k < 120 && !body.settled; ++k)
-    deform(mesh.model(), parameters, fixed_mass(), {}, 1.0 / 60, scratch, body, motion);
+    deform({mesh.model(), parameters, fixed_mass(), {}, 1.0 / 60}, scratch, body, motion);
 }
 
 }  // namespace crumple

@@ -14,7 +14,7 @@ constexpr double pi = 3.14159265358979323846;
 Parameters elastic_car() {
   Parameters parameters;
   for (Material& material : parameters.region) {
-    material.yield = 1;          // ten times the length is beyond even that,
+    material.yield_strain = 1;   // ten times the length is beyond even that,
     material.plastic_limit = 0;  // so there is no plastic strain at all
     material.plasticity = 1;
   }
@@ -204,7 +204,7 @@ void hostile_meshes_and_materials(const Car& car, uint64_t seed, std::vector<Sce
   out.push_back({"Poisson 0.45, elastic", with(elastic, [](int, Material& m) { m.poisson_ratio = 0.45f; }), returns, nullptr});
   const auto flowing = [](float yield, float hardening, float limit, float kept) {
     return [=](int, Material& m) {
-      m.yield = yield;
+      m.yield_strain = yield;
       m.hardening = hardening;
       m.plastic_limit = limit;
       m.plasticity = kept;
@@ -357,7 +357,7 @@ Material random_material(Random& random) {
   if (random.chance(0.5)) return m;
   m.young_modulus = float(random.logarithmic(1e4, 1e10));
   m.poisson_ratio = float(random.uniform(0, 0.45));
-  m.yield = float(random.uniform(0, 1));
+  m.yield_strain = float(random.uniform(0, 1));
   m.hardening = float(random.uniform(0, 1));
   m.plastic_limit = float(random.uniform(0, 3));
   m.viscosity = random.chance(0.1) ? 0 : float(random.logarithmic(1, 1e9));

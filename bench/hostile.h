@@ -109,7 +109,7 @@ struct Run {
     if (method.baseline) {
       deform_baseline(*method.baseline, model, structure, parameters, mass, obstacles, seconds, body, motion);
     } else {
-      undone += deform(model, parameters, mass, obstacles, seconds, *scratch, body, motion).recovered;
+      undone += deform({model, parameters, mass, obstacles, seconds}, *scratch, body, motion).recovered;
     }
     for (Obstacle& each : obstacles) each.pose = advance(each.pose, each.velocity, each.angular_velocity, seconds);
     ++ticks;

@@ -6,6 +6,7 @@
 #include "rooms.h"
 #include "sim/classic.h"
 #include "sim/deform.h"
+#include "sim/skin.h"
 #include "tick/surface_update.h"
 
 namespace crumple {
@@ -28,8 +29,7 @@ struct Lane {
   Body body;
   Motion motion;
   ScratchHandle scratch = make_scratch();
-  std::vector<Candidates> candidates;
-  std::vector<Contact> contacts;
+  ContactSet contacts;
   std::vector<Vec3> vertex;
   Response response;
 };
@@ -45,7 +45,7 @@ Scene make_scene(const std::shared_ptr<const Car>& car) {
   scene.wall[0].pose.position.x() = double(front) + 1;
   scene.motion.velocity.x() = speed;
   scene.parameters.iterations = 4;
-  deform(model, scene.parameters, scene.mass, scene.wall, tick_seconds, *make_scratch(), scene.body, scene.motion);
+  deform({model, scene.parameters, scene.mass, scene.wall, tick_seconds}, *make_scratch(), scene.body, scene.motion);
   scene.motion.velocity = Eigen::Vector3d(speed, 0, 0);  // as fast as before, whatever the few sweeps made of it
   return scene;
 }
@@ -63,8 +63,9 @@ const Scene& scene_of(const Bench& bench) {
 
 void collide(const Scene& scene, Lane& lane) {
   const Pose to = advance(scene.motion, scene.mass, tick_seconds);
-  find_candidates(scene.car->model, lane.body, scene.motion, scene.mass, scene.wall, tick_seconds, lane.candidates);
-  find_contacts(lane.body, scene.wall, lane.candidates, scene.motion.pose, to, 0, tick_seconds, lane.contacts);
+  const StepInput input{scene.car->model, scene.parameters, scene.mass, scene.wall, tick_seconds};
+  find_candidates(input, lane.body, scene.motion, lane.contacts);
+  find_contacts(lane.body, scene.wall, {scene.motion.pose, to, 0, tick_seconds}, lane.contacts);
 }
 
 std::vector<Lane> make_lanes(const Scene& scene, int count) {
@@ -102,7 +103,7 @@ benchmark::internal::Benchmark* register_work(const std::shared_ptr<const Bench>
       }
       state.SetIterationTime(side_by_side(scene, lanes, arena, work));
     }
-    state.counters["contacts"] = double(lanes[0].contacts.size());
+    state.counters["contacts"] = double(lanes[0].contacts.contact.size());
   });
 }
 
@@ -110,7 +111,7 @@ Work classic(int iterations) {
   return [iterations](const Scene& scene, Lane& lane) {
     Parameters parameters = scene.parameters;
     parameters.iterations = uint16_t(iterations);
-    solve_classic(scene.car->model, parameters, lane.contacts, lane.body);
+    solve_classic(scene.car->model, parameters, lane.contacts.contact, lane.body);
   };
 }
 
@@ -122,7 +123,7 @@ void whole_loop(const Scene& scene, Lane& lane) {
   parameters.solver = Solver::classic;
   parameters.iterations = 1;
   lane.response =
-      deform(scene.car->model, parameters, scene.mass, scene.wall, tick_seconds, *lane.scratch, lane.body, lane.motion);
+      deform({scene.car->model, parameters, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
   update_skin(scene, lane);
 }
 
@@ -155,7 +156,7 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
       lane.body = scene.body;
       lane.motion = scene.motion;
       const double before = times.seconds[size_t(Room::solve)];
-      lane.response = deform(scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters),
+      lane.response = deform({scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters)},
                              *lane.scratch, lane.body, lane.motion, &times);
       state.SetIterationTime(times.seconds[size_t(Room::solve)] - before);
       substeps += lane.response.substeps;
@@ -169,7 +170,7 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
 
 // The tick as a host gets it by default, surface and all.
 void default_tick(const Scene& scene, Lane& lane) {
-  lane.response = deform(scene.car->model, {}, scene.mass, scene.wall, tick_seconds, *lane.scratch, lane.body, lane.motion);
+  lane.response = deform({scene.car->model, {}, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
   update_skin(scene, lane);
 }
 

@@ -31,7 +31,7 @@ constexpr float near = 1e-5f;  // m
 Parameters parameters_of(float yield, int sweeps) {
   Parameters out;
   if (sweeps > 0) out.iterations = uint16_t(sweeps), out.tolerance = 0;
-  for (Material& material : out.region) material.yield = yield;
+  for (Material& material : out.region) material.yield_strain = yield;
   return out;
 }
 
@@ -53,7 +53,7 @@ class Report {
     char text[200];
     const Material& m = parameters.region[0];
     std::snprintf(text, sizeof text, "%s,%zu,%zu,%g,%g,%g,%s,%d", name, mesh.node.size(), mesh.tet.size(),
-                  double(m.poisson_ratio), double(m.yield), double(m.hardening), sides,
+                  double(m.poisson_ratio), double(m.yield_strain), double(m.hardening), sides,
                   parameters.tolerance > 0 ? 0 : parameters.iterations);
     case_ = text;
   }
@@ -89,7 +89,7 @@ double push_down(const HeldMesh& mesh, const Parameters& parameters, double dept
   obstacle.velocity.z() = -depth / push_ticks / tick_seconds;
   double work = 0, last = 0;
   for (int k = 1; k <= push_ticks; ++k) {
-    deform(mesh.model(), parameters, fixed_mass(), {&obstacle, 1}, tick_seconds, scratch, body, motion);
+    deform({mesh.model(), parameters, fixed_mass(), {&obstacle, 1}, tick_seconds}, scratch, body, motion);
     obstacle.pose = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, tick_seconds);
     const double force = -body.force.z();
     report.add("force at", depth * k / push_ticks, force, "N", body);

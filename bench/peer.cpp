@@ -81,7 +81,7 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
   parameters.substeps = uint16_t(substeps);
   for (Material& material : parameters.region) {
     material.plastic_limit = 0;
-    material.yield = 1;  // and no tet is tried for flow
+    material.yield_strain = 1;  // and no tet is tried for flow
   }
   const ScratchHandle scratch = make_scratch();
   Body body = make_body(mesh.model());
@@ -98,8 +98,9 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
     }
     std::printf("%s%.5g", step > 0 ? "," : "", spent);
   }
-  const auto awake = std::count_if(scratch->awake.begin(), scratch->awake.end(), [](uint8_t each) { return each > 0; });
-  std::printf("],\"awake\":%.3g}\n", double(awake) / double(scratch->awake.size()));
+  const std::vector<uint8_t>& blocks = scratch->solver.awake;
+  const auto awake = std::count_if(blocks.begin(), blocks.end(), [](uint8_t each) { return each > 0; });
+  std::printf("],\"awake\":%.3g}\n", double(awake) / double(blocks.size()));
   std::vector<Vec3> found(scene.origin.size());
   for (size_t i = 0; i < found.size(); ++i) found[scene.origin[i]] = body.node[i];
   std::ofstream(out, std::ios::binary).write(reinterpret_cast<const char*>(found.data()), std::streamsize(12 * found.size()));

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "sim/flow.h"
 #include "sim/nodal.h"
 
 namespace crumple {
@@ -430,18 +431,17 @@ ReferenceStep step_reference(const Model& model, const Parameters& parameters, s
 void follow_reference(const Model& model, const Parameters& parameters, std::span<const Obstacle> obstacles,
                       std::span<const Pose> path, double h, const ReferenceOptions& options, const ReferenceWatch& watch,
                       ReferenceState& state) {
-  std::vector<Candidates> all(obstacles.size());
-  for (uint32_t k = 0; k < all.size(); ++k) {
-    all[k].obstacle = k;
-    for (uint32_t i = 0; i < model.node.size(); ++i) all[k].node.push_back(i);
+  ContactSet contacts;  // any node may meet any obstacle
+  for (uint32_t k = 0; k < obstacles.size(); ++k) {
+    contacts.candidate.push_back({k, {}});
+    for (uint32_t i = 0; i < model.node.size(); ++i) contacts.candidate[k].node.push_back(i);
   }
   Body body;
   body.node.resize(model.node.size());
-  std::vector<Contact> contacts;
   for (size_t k = 0; k + 1 < path.size(); ++k) {
     for (size_t i = 0; i < body.node.size(); ++i) body.node[i] = state.node[i].cast<float>();
-    find_contacts(body, obstacles, all, path[k], path[k + 1], double(k) * h, h, contacts);
-    const ReferenceStep step = step_reference(model, parameters, contacts, h, options, state);
+    find_contacts(body, obstacles, {path[k], path[k + 1], double(k) * h, h}, contacts);
+    const ReferenceStep step = step_reference(model, parameters, contacts.contact, h, options, state);
     if (watch) watch(k, step);
   }
 }

@@ -204,7 +204,7 @@ ReferenceMaterial reference_material(const Material& material) {
           1 + mu / (lambda + mu),
           2 * mu,
           3 * lambda + 2 * mu,
-          e * double(material.yield),
+          e * double(material.yield_strain),
           e * double(material.hardening),
           double(material.plastic_limit)};
 }

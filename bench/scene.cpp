@@ -26,6 +26,8 @@
 #include "machine.h"
 #include "rooms.h"
 #include "sim/nodal.h"
+#include "sim/rest.h"
+#include "sim/skin.h"
 #include "tick/hash.h"
 #include "tick/levels.h"
 #include "tick/state.h"
@@ -327,7 +329,7 @@ Play tapped_alone(const Model& model, bool all_awake) {
     Response response;
     const double seconds = seconds_of(
         [&] {
-          response = deform(model, {}, mass, {&wall, 1}, substep_seconds(Parameters{}), *scratch, body, motion);
+          response = deform({model, {}, mass, {&wall, 1}, substep_seconds(Parameters{})}, *scratch, body, motion);
         },
         thread_seconds);
     if (response.substeps == 0 || !body.touching) continue;
@@ -366,7 +368,7 @@ Body crashed_into_a_pole(const Model& model) {
   Obstacle pole;
   make_capsule(0.15f, 2, pole);
   pole.pose.position = {front_of(model) + 0.15 + gap, 0.2, 0};
-  for (int k = 0; k < ticks; ++k) deform(model, {}, mass_of(model), {&pole, 1}, 1 / rate, *scratch, body, motion);
+  for (int k = 0; k < ticks; ++k) deform({model, {}, mass_of(model), {&pole, 1}, 1 / rate}, *scratch, body, motion);
   return body;
 }
 
@@ -376,7 +378,7 @@ double creep(const Model& model, Body body) {
   const auto before = surface_of(model, body);
   Motion motion;
   body.settled = false;
-  for (int k = 0; k < ticks && !body.settled; ++k) deform(model, {}, mass_of(model), {}, 1 / rate, *scratch, body, motion);
+  for (int k = 0; k < ticks && !body.settled; ++k) deform({model, {}, mass_of(model), {}, 1 / rate}, *scratch, body, motion);
   return compare(surface_of(model, body), before).rms;
 }
 

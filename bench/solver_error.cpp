@@ -45,12 +45,9 @@ struct Setting {
   const char* name;
   float Material::*field;
 };
-constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus},
-                                {"poisson_ratio", &Material::poisson_ratio},
-                                {"yield", &Material::yield},
-                                {"hardening", &Material::hardening},
-                                {"plastic_limit", &Material::plastic_limit},
-                                {"viscosity", &Material::viscosity}};
+constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus}, {"poisson_ratio", &Material::poisson_ratio},
+                                {"yield", &Material::yield_strain},          {"hardening", &Material::hardening},
+                                {"plastic_limit", &Material::plastic_limit}, {"viscosity", &Material::viscosity}};
 
 void set_material(const std::string& name, float value, Parameters& parameters) {
   for (const Setting& setting : settings) {
@@ -148,7 +145,7 @@ std::vector<Row> by_nodal(const Scene& scene, int sweeps) {
   std::vector<Row> rows;
   for (int k = 0; k < substeps; ++k) {
     motion.velocity.x() = scene.velocity[size_t(k)];
-    deform(model, parameters, mass, {&scene.obstacle, 1}, substep_seconds(Parameters()), *scratch, body, motion);
+    deform({model, parameters, mass, {&scene.obstacle, 1}, substep_seconds(Parameters())}, *scratch, body, motion);
     if ((k + 1) % substeps_a_row != 0) continue;
     Row& row = rows.emplace_back();
     for (const Vec3& node : body.node) row.node.push_back(node.cast<double>());

@@ -23,11 +23,12 @@ TetMesh bar() {
 TEST(Bar, KeepsItsPlasticSetAtAnyNumberOfSweeps) {
   Parameters parameters;
   parameters.tolerance = 0;
-  for (Material& material : parameters.region) material.yield = 0.02f;
+  for (Material& material : parameters.region) material.yield_strain = 0.02f;
   parameters.tolerance = 0;
   const Material& material = parameters.region[0];
   const double expected = closed_form_set(material);
-  const double logarithmic = std::expm1((std::log1p(bar_pull) - double(material.yield)) / (1 + double(material.hardening)));
+  const double logarithmic =
+      std::expm1((std::log1p(bar_pull) - double(material.yield_strain)) / (1 + double(material.hardening)));
   EXPECT_NEAR(logarithmic / expected, 1, 0.01);
   const TetMesh tets = bar();
   for (int sweeps : {4, 8, 16, 32, 64}) {

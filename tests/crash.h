@@ -41,7 +41,7 @@ struct Crash {
     return obstacles.emplace_back(wall);
   }
   Response tick(double seconds = tick_seconds) {
-    const Response response = deform(model, parameters, mass, obstacles, seconds, *scratch, body, motion);
+    const Response response = deform({model, parameters, mass, obstacles, seconds}, *scratch, body, motion);
     for (Obstacle& each : obstacles) each.pose = advance(each.pose, each.velocity, each.angular_velocity, seconds);
     total.impulse += response.impulse;
     total.angular_impulse += response.angular_impulse;

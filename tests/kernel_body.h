@@ -116,7 +116,7 @@ struct State {
   std::unique_ptr<Mesh> mesh;
   Parameters parameters = materials();
   Body body;
-  Scratch scratch;
+  NodalSolver solver;
   std::mt19937 random;
 
   // Noise grows along x: at rest at the back, beyond yield in the middle, tets turned inside out in front. `noise` in m there.
@@ -132,53 +132,52 @@ struct State {
       const float limit = parameters.region[mesh->tet_region[t]].plastic_limit;
       body.hardening[t] = std::min(limit, limit * 1.1f * float(random() % 1000) / 1000);
     }
-    prepare_nodal(mesh->model, parameters, body, scratch);
+    prepare_nodal(mesh->model, parameters, body, solver);
     for (uint32_t i = 0; i < body.node.size(); ++i) {
       const Vec3 rest = mesh->model.node[i];
       const float share = std::max(0.0f, rest.x() / 2.25f + 0.3f);
       const Vec3 moved = rest + noise * share * share * Vec3(normal(random), normal(random), normal(random));
-      scratch.node[i] = {moved.x(), moved.y(), moved.z(), 0};
-      scratch.before[i] = {rest.x(), rest.y(), rest.z(), 1e4f + float(random() % 1000)};
-      scratch.rest[i] = {rest.x(), rest.y(), rest.z(), mesh->anchored[i] && random() % 2 ? 1e6f : 0.0f};
-      scratch.direction[i] = {0.02f * share * normal(random), 0.02f * share * normal(random), 0.02f * share * normal(random),
-                              0};
+      solver.node[i] = {moved.x(), moved.y(), moved.z(), 0};
+      solver.before[i] = {rest.x(), rest.y(), rest.z(), 1e4f + float(random() % 1000)};
+      solver.rest[i] = {rest.x(), rest.y(), rest.z(), mesh->anchored[i] && random() % 2 ? 1e6f : 0.0f};
+      solver.direction[i] = {0.02f * share * normal(random), 0.02f * share * normal(random), 0.02f * share * normal(random), 0};
     }
     const Blocks& blocks = mesh->blocks;
     for (size_t b = 0; b < blocks.anchored.size(); ++b) {
-      scratch.still[b] = blocks.anchored[b] ? uint16_t(0xffff) : blocks.unused[b];
-      scratch.touched[b] = uint16_t(random() & random() & random() & ~unsigned(blocks.unused[b]));
-      scratch.still[b] |= scratch.touched[b];
-      scratch.awake[b] = 1;
+      solver.still[b] = blocks.anchored[b] ? uint16_t(0xffff) : blocks.unused[b];
+      solver.touched[b] = uint16_t(random() & random() & random() & ~unsigned(blocks.unused[b]));
+      solver.still[b] |= solver.touched[b];
+      solver.awake[b] = 1;
     }
   }
   size_t tets() const { return mesh->model.tet.size(); }
   uint32_t groups() const { return uint32_t(mesh->blocks.group.size()); }
   TetView tet_view() const {
     TetView view{};
-    view.node = scratch.node.data();
+    view.node = solver.node.data();
     view.group = mesh->blocks.group.data();
-    view.tet = scratch.tets.data();
-    view.region = scratch.region.data();
-    view.law = scratch.law.data();
-    view.stirred = scratch.stirred.data();
+    view.tet = solver.tets.data();
+    view.region = solver.region.data();
+    view.law = solver.law.data();
+    view.stirred = solver.stirred.data();
     return view;
   }
   NodeView node_view() {
     const Blocks& blocks = mesh->blocks;
     NodeView view{};
-    view.node = scratch.node.data();
-    view.before = scratch.before.data();
-    view.rest = scratch.rest.data();
-    view.stiffness = scratch.stiffness.data();
+    view.node = solver.node.data();
+    view.before = solver.before.data();
+    view.rest = solver.rest.data();
+    view.stiffness = solver.stiffness.data();
     view.index = blocks.node.data();
     view.row = blocks.row.data();
     view.anchored = blocks.anchored.data();
     view.rows = blocks.rows.data();
-    view.weights = scratch.weights.data();
-    view.still = scratch.still.data();
-    view.touched = scratch.touched.data();
-    view.awake = scratch.awake.data();
-    view.stirred = scratch.stirred.data();
+    view.weights = solver.weights.data();
+    view.still = solver.still.data();
+    view.touched = solver.touched.data();
+    view.awake = solver.awake.data();
+    view.stirred = solver.stirred.data();
     view.near_first = blocks.near_first.data();
     view.near = blocks.near.data();
     view.over_first = blocks.over_first.data();
@@ -187,28 +186,26 @@ struct State {
     return view;
   }
   uint32_t renew(const Kernels& kernel) {
-    return kernel.renew(tet_view(), 0, groups(), scratch.stiffness.data(), scratch.flowing.data());
+    return kernel.update_secant_moduli(tet_view(), 0, groups(), solver.stiffness.data(), solver.flowing.data());
   }
-  double flow(const Kernels& kernel) {
-    return kernel.flow(tet_view(), scratch.tets.data(), 0, groups(), scratch.flowing.data());
-  }
+  double flow(const Kernels& kernel) { return kernel.flow(tet_view(), solver.tets.data(), 0, groups(), solver.flowing.data()); }
   void visit(const Kernels& kernel, NodeView view) const {
     const auto& colour = mesh->blocks.colour;
-    for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.visit(view, colour[c], colour[c + 1]);
+    for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.relax_nodes(view, colour[c], colour[c + 1]);
   }
   // As the tet stands now.
   Gradients gradients(size_t t) const {
     Gradients out;
-    for (int k = 0; k < 9; ++k) out.corner[k / 3][k % 3] = scratch.tets[t / lanes].gradient[k][t % lanes];
+    for (int k = 0; k < 9; ++k) out.corner[k / 3][k % 3] = solver.tets[t / lanes].gradient[k][t % lanes];
     return out;
   }
-  Vec3 position(uint32_t i) const { return {scratch.node[i].x, scratch.node[i].y, scratch.node[i].z}; }
+  Vec3 position(uint32_t i) const { return {solver.node[i].x, solver.node[i].y, solver.node[i].z}; }
   Mat3 deformation_of(size_t t) const {
     const uint32_t* n = mesh->model.tet[t].node;
     return deformation(position(n[0]), position(n[1]), position(n[2]), position(n[3]), gradients(t));
   }
-  float& kappa(size_t t) { return scratch.tets[t / lanes].kappa[t % lanes]; }
-  bool flows(size_t t) const { return scratch.flowing[t / lanes] >> (t % lanes) & 1; }
+  float& kappa(size_t t) { return solver.tets[t / lanes].kappa[t % lanes]; }
+  bool flows(size_t t) const { return solver.flowing[t / lanes] >> (t % lanes) & 1; }
   const Material& material(size_t t) const { return parameters.region[mesh->tet_region[t]]; }
 };
 

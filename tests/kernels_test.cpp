@@ -111,7 +111,7 @@ struct Told {
     Told& told = *static_cast<Told*>(context);
     told.heard.insert(told.heard.end(), gradient, gradient + 3);
     told.heard.insert(told.heard.end(), hessian, hessian + 6);
-    Quad& at = told.state.scratch.node[node];
+    Float4& at = told.state.solver.node[node];
     at = {std::min(told.wall, at.x - gradient[0] / hessian[0]), at.y - gradient[1] / hessian[1],
           at.z - gradient[2] / hessian[2], 0};
   }
@@ -136,9 +136,10 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
       auto own = state(0.2f, seed);
       const uint32_t own_lost = own->renew(*kernel);
       double own_slope[6] = {};
-      kernel->slope(own->tet_view(), 0, own->groups(), own->scratch.stiffness.data(), own->scratch.direction.data(), own_slope);
+      kernel->line_derivative(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(),
+                              own_slope);
       const double own_energy = kernel->energy(own->tet_view(), 0, own->groups());
-      const std::vector<uint16_t> flowing = own->scratch.flowing;
+      const std::vector<uint16_t> flowing = own->solver.flowing;
       const double own_work = own->flow(*kernel);
       Told told{*own, {}};
       NodeView view = own->node_view();
@@ -168,11 +169,11 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
       EXPECT_EQ(work, own_work);
       EXPECT_EQ(energy, own_energy);
       for (int k = 0; k < 6; ++k) EXPECT_EQ(slope[k], own_slope[k]) << "power " << k;
-      EXPECT_TRUE(same(first->scratch.stiffness, own->scratch.stiffness));
-      EXPECT_TRUE(same(first->scratch.flowing, own->scratch.flowing));
-      EXPECT_TRUE(same(first->scratch.tets, own->scratch.tets));
+      EXPECT_TRUE(same(first->solver.stiffness, own->solver.stiffness));
+      EXPECT_TRUE(same(first->solver.flowing, own->solver.flowing));
+      EXPECT_TRUE(same(first->solver.tets, own->solver.tets));
       EXPECT_TRUE(same(heard, told.heard));
-      EXPECT_TRUE(same(first->scratch.node, own->scratch.node));
+      EXPECT_TRUE(same(first->solver.node, own->solver.node));
     }
   }
 }
@@ -181,21 +182,22 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
   constexpr size_t n = 3 * 256 + 20;
   std::mt19937 random(4);
   std::normal_distribution<float> normal(0, 1);
-  std::vector<std::vector<Quad>> lists(6, std::vector<Quad>(n));
+  std::vector<std::vector<Float4>> lists(6, std::vector<Float4>(n));
   for (auto& list : lists) {
-    for (Quad& quad : list) quad = {normal(random), normal(random), normal(random), 0};
+    for (Float4& each : list) each = {normal(random), normal(random), normal(random), 0};
   }
-  std::vector<std::vector<Quad>> first;
+  std::vector<std::vector<Float4>> first;
   std::vector<double> numbers;
   for (const Kernels* kernel : all_kernels()) {
     SCOPED_TRACE(kernel->name);
     auto own = lists;
     std::vector<double> out(4);
-    kernel->compare(own[0].data(), own[1].data(), n, own[2].data(), own[3].data(), own[4].data(), own[5].data(), &out[3]);
-    const Quad* others[3] = {own[2].data(), own[4].data(), own[5].data()};
-    kernel->products(own[2].data(), others, 3, n, out.data());
+    kernel->anderson.compare(own[0].data(), own[1].data(), n, own[2].data(), own[3].data(), own[4].data(), own[5].data(),
+                             &out[3]);
+    const Float4* others[3] = {own[2].data(), own[4].data(), own[5].data()};
+    kernel->anderson.products(own[2].data(), others, 3, n, out.data());
     const float by[3] = {0.3f, -1.7f, 1e-3f};
-    kernel->combine(others, by, 3, n, own[0].data());
+    kernel->anderson.combine(others, by, 3, n, own[0].data());
     if (first.empty()) {
       first = own;
       numbers = out;
@@ -223,7 +225,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
 
 // A wall goes 0.3 m into the front and back, with nothing but kernels.
 State& crash(const Kernels& kernel, State& state) {
-  Scratch& s = state.scratch;
+  Scratch& s = state.solver;
   for (size_t b = 0; b < s.touched.size(); ++b) {
     s.still[b] = s.touched[b] = 0;
     for (int lane = 0; lane < lanes; ++lane) {
@@ -238,7 +240,7 @@ State& crash(const Kernels& kernel, State& state) {
   view.resolve = Told::resolve;
   view.context = &told;
   const size_t n = s.node.size();
-  std::vector<Quad> from, residual(n), result(n), change(n), result_change(n);
+  std::vector<Float4> from, residual(n), result(n), change(n), result_change(n);
   for (int step = 0; step < 24; ++step) {
     told.wall = 2.25f - (step < 16 ? 0.02f * float(step) : 0.3f - 0.02f * float(step - 16));
     for (size_t i = 0; i < state.mesh->model.node.size(); ++i) {
@@ -249,12 +251,13 @@ State& crash(const Kernels& kernel, State& state) {
       state.renew(kernel);
       state.visit(kernel, view);
       double size = 0, products[2];
-      kernel.compare(s.node.data(), from.data(), n, residual.data(), result.data(), change.data(), result_change.data(), &size);
-      const Quad* others[2] = {change.data(), residual.data()};
-      kernel.products(change.data(), others, 2, n, products);
-      const Quad* moves[1] = {result_change.data()};
+      kernel.anderson.compare(s.node.data(), from.data(), n, residual.data(), result.data(), change.data(),
+                              result_change.data(), &size);
+      const Float4* others[2] = {change.data(), residual.data()};
+      kernel.anderson.products(change.data(), others, 2, n, products);
+      const Float4* moves[1] = {result_change.data()};
       const float by = std::clamp(float(-products[1] / products[0]), -0.5f, 0.5f);
-      if (sweep > 0 && sweep < 5) kernel.combine(moves, &by, 1, n, s.node.data());
+      if (sweep > 0 && sweep < 5) kernel.anderson.combine(moves, &by, 1, n, s.node.data());
     }
     state.renew(kernel);
     state.flow(kernel);
@@ -278,9 +281,9 @@ TEST(SameBits, AWholeCrash) {
       first = std::move(own);
       continue;
     }
-    EXPECT_TRUE(same(first->scratch.node, own->scratch.node));
-    EXPECT_TRUE(same(first->scratch.tets, own->scratch.tets));
-    EXPECT_TRUE(same(first->scratch.stiffness, own->scratch.stiffness));
+    EXPECT_TRUE(same(first->solver.node, own->solver.node));
+    EXPECT_TRUE(same(first->solver.tets, own->solver.tets));
+    EXPECT_TRUE(same(first->solver.stiffness, own->solver.stiffness));
   }
 }
 
@@ -293,9 +296,9 @@ struct Plain {
   double size = 0;  // of what was added up, N
 };
 Plain plain(const State& state, uint32_t i) {
-  const auto vec = [](const Quad& q) { return Vector3d(q.x, q.y, q.z); };
-  const Quad &before = state.scratch.before[i], &rest = state.scratch.rest[i];
-  const Vector3d x = vec(state.scratch.node[i]);
+  const auto vec = [](const Float4& q) { return Vector3d(q.x, q.y, q.z); };
+  const Float4 &before = state.solver.before[i], &rest = state.solver.rest[i];
+  const Vector3d x = vec(state.solver.node[i]);
   Plain out{double(before.w) * (x - vec(before)) + double(rest.w) * (x - vec(rest)),
             (double(before.w) + double(rest.w)) * Matrix3d::Identity()};
   out.size = out.gradient.norm();
@@ -304,12 +307,12 @@ Plain plain(const State& state, uint32_t i) {
     const uint32_t t = model.corner[k] / 4, corner = model.corner[k] % 4;
     const Gradients gradients = state.gradients(t);
     const Elastic e = secant(elastic(state.material(t)), yield_law(state.material(t)), state.deformation_of(t),
-                             state.scratch.tets[t / lanes].kappa[t % lanes]);
+                             state.solver.tets[t / lanes].kappa[t % lanes]);
     Vector3d g[4];
     for (int c = 0; c < 3; ++c) g[c + 1] = gradients.corner[c].cast<double>();
     g[0] = -g[1] - g[2] - g[3];
     Matrix3d f = Matrix3d::Zero();
-    for (int c = 0; c < 4; ++c) f += vec(state.scratch.node[model.tet[t].node[c]]) * g[c].transpose();
+    for (int c = 0; c < 4; ++c) f += vec(state.solver.node[model.tet[t].node[c]]) * g[c].transpose();
     Matrix3d cofactor;  // dJ / dF
     cofactor << f.col(1).cross(f.col(2)), f.col(2).cross(f.col(0)), f.col(0).cross(f.col(1));
     const double volume = double(model.tet_rest[t]), mu = double(e.mu), l = double(e.l);
@@ -334,7 +337,7 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       std::vector<int> times;
     } heard{std::vector<Vector3d>(model.node.size()), std::vector<Matrix3d>(model.node.size()),
             std::vector<int>(model.node.size(), 0)};
-    for (size_t b = 0; b < own->scratch.touched.size(); ++b) own->scratch.touched[b] = uint16_t(~own->mesh->blocks.unused[b]);
+    for (size_t b = 0; b < own->solver.touched.size(); ++b) own->solver.touched[b] = uint16_t(~own->mesh->blocks.unused[b]);
     NodeView view = own->node_view();
     view.measure = true;
     view.context = &heard;
@@ -344,9 +347,9 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       to.hessian[node] << h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2];
       ++to.times[node];
     };
-    const std::vector<Quad> before = own->scratch.node;
+    const std::vector<Float4> before = own->solver.node;
     own->visit(kernel, view);
-    EXPECT_TRUE(same(before, own->scratch.node));  // nothing moves while it measures
+    EXPECT_TRUE(same(before, own->solver.node));  // nothing moves while it measures
     double largest = 0;
     for (uint32_t i = 0; i < model.node.size(); ++i) largest = std::max(largest, plain(*own, i).size);
     for (uint32_t i = 0; i < model.node.size(); ++i) {
@@ -356,17 +359,17 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       EXPECT_LT((heard.hessian[i] - expected.hessian).norm(), 1e-4 * expected.hessian.norm()) << "node " << i;
     }
     // Now for good, the first colour: nodes that share no tet.
-    std::fill(own->scratch.touched.begin(), own->scratch.touched.end(), uint16_t(0));
+    std::fill(own->solver.touched.begin(), own->solver.touched.end(), uint16_t(0));
     std::vector<Plain> expected;
     for (uint32_t i = 0; i < model.node.size(); ++i) expected.push_back(plain(*own, i));
     view.measure = false;
     const uint32_t last = own->mesh->blocks.colour[1];
-    kernel.visit(view, 0, last);
+    kernel.relax_nodes(view, 0, last);
     int moved = 0;
     for (uint32_t i = 0; i < model.node.size(); ++i) {
       const uint32_t place = own->mesh->blocks.place[i];
       const Vector3d was(before[i].x, before[i].y, before[i].z);
-      const bool free = place / lanes < last && !(own->scratch.still[place / lanes] >> (place % lanes) & 1);
+      const bool free = place / lanes < last && !(own->solver.still[place / lanes] >> (place % lanes) & 1);
       const Vector3d step =
           free ? Vector3d(-double(relaxation) * (expected[i].hessian.inverse() * expected[i].gradient)) : Vector3d::Zero();
       EXPECT_LE((own->position(i).cast<double>() - was - step).norm(), 1e-3 * step.norm() + (free ? 1e-6 : 0)) << "node " << i;
@@ -386,7 +389,7 @@ TEST(Twin, RenewGivesTheSecantModuliOfFlow) {
       const Elastic e = secant(stiff, yield_law(own->material(t)), own->deformation_of(t), own->kappa(t));
       const Gradients g = own->gradients(t);
       const float d = g.corner[0].dot(g.corner[1].cross(g.corner[2])), volume = own->mesh->model.tet_rest[t];
-      const Quad& s = own->scratch.stiffness[t];
+      const Float4& s = own->solver.stiffness[t];
       EXPECT_NEAR(s.x / volume, e.mu, 1e-3f * e.mu + 1e-5f * stiff.mu) << "tet " << t;
       EXPECT_NEAR(s.y / (volume * d * d), e.l, 1e-3f * e.l + 1e-5f * stiff.l) << "tet " << t;
       EXPECT_NEAR(s.z * d, e.gamma, 1e-3f * e.gamma) << "tet " << t;
@@ -412,32 +415,32 @@ TEST(Twin, RenewCountsTheTetsThatHaveLostTheirShape) {
 
 // A tet that is beyond yield but did not flow after all (here: inside out) must not stay soft when it is whole again.
 TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
-  std::vector<Quad> first;
+  std::vector<Float4> first;
   for (const Kernels* kernel : all_kernels()) {
     SCOPED_TRACE(kernel->name);
     auto own = std::make_unique<State>(box({9, 4, 3}), 3u, 0.0f);
     own->body = make_body(own->mesh->model);
-    prepare_nodal(own->mesh->model, own->parameters, own->body, own->scratch);
+    prepare_nodal(own->mesh->model, own->parameters, own->body, own->solver);
     const auto mirror = [&](float by) {
       for (uint32_t i = 0; i < own->body.node.size(); ++i) {
         const Vec3& rest = own->mesh->model.node[i];
-        own->scratch.node[i] = {by * rest.x(), rest.y(), rest.z(), 0};
+        own->solver.node[i] = {by * rest.x(), rest.y(), rest.z(), 0};
       }
     };
     mirror(-1);
     EXPECT_EQ(own->renew(*kernel), own->tets());
     EXPECT_EQ(own->flow(*kernel), 0);
     mirror(1);
-    own->scratch.node.front().x -= 0.2f;  // but for a few tets around one node
+    own->solver.node.front().x -= 0.2f;  // but for a few tets around one node
     own->renew(*kernel);
     size_t soft = 0;
     for (size_t t = 0; t < own->tets(); ++t) {
-      soft += own->scratch.stiffness[t].x < 0.999f * elastic(own->material(t)).mu * own->mesh->model.tet_rest[t];
+      soft += own->solver.stiffness[t].x < 0.999f * elastic(own->material(t)).mu * own->mesh->model.tet_rest[t];
     }
     EXPECT_GT(soft, 0u);
     EXPECT_LT(soft, 25u) << "of " << own->tets();
-    if (first.empty()) first = own->scratch.stiffness;
-    EXPECT_TRUE(same(first, own->scratch.stiffness));
+    if (first.empty()) first = own->solver.stiffness;
+    EXPECT_TRUE(same(first, own->solver.stiffness));
   }
 }
 
@@ -495,7 +498,8 @@ TEST(Twin, SlopeIsThatOfTheEnergyAlongTheLine) {
   auto own = state(0.03f, 41);
   own->renew(kernels());
   double derivative[6] = {};
-  kernels().slope(own->tet_view(), 0, own->groups(), own->scratch.stiffness.data(), own->scratch.direction.data(), derivative);
+  kernels().line_derivative(own->tet_view(), 0, own->groups(), own->solver.stiffness.data(), own->solver.direction.data(),
+                            derivative);
   const auto energy = [&](double a) {
     double sum = 0;
     for (size_t t = 0; t < own->tets(); ++t) {
@@ -503,13 +507,13 @@ TEST(Twin, SlopeIsThatOfTheEnergyAlongTheLine) {
       Vector3d x[4];
       for (int c = 0; c < 4; ++c) {
         const uint32_t i = own->mesh->model.tet[t].node[c];
-        const Quad &at = own->scratch.node[i], &way = own->scratch.direction[i];
+        const Float4 &at = own->solver.node[i], &way = own->solver.direction[i];
         x[c] = Vector3d(at.x, at.y, at.z) + a * Vector3d(way.x, way.y, way.z);
       }
       Matrix3d f = Matrix3d::Zero();
       for (int c = 0; c < 3; ++c) f += (x[c + 1] - x[0]) * gradients.corner[c].cast<double>().transpose();
       const double six = (x[1] - x[0]).cross(x[2] - x[0]).dot(x[3] - x[0]);
-      const Quad& s = own->scratch.stiffness[t];
+      const Float4& s = own->solver.stiffness[t];
       sum += 0.5 * double(s.x) * f.squaredNorm() + 0.5 * double(s.y) * (six - double(s.z)) * (six - double(s.z));
     }
     return sum;

@@ -15,47 +15,49 @@ namespace {
 
 using Vector3d = Eigen::Vector3d;
 
-// ---- mixing -----------------------------------------------------------------------------------------------------------------
+// ---- Anderson's acceleration
+// -----------------------------------------------------------------------------------------------------------------
 
 // A map x -> A x + b whose slowest part needs hundreds of steps, on 25 nodes of 28 places.
 struct Linear {
   static constexpr size_t count = 25, places = 28;
   static constexpr float factor[5] = {0.995f, 0.97f, 0.8f, 0.3f, -0.6f};
-  std::vector<Quad> solution = std::vector<Quad>(places);
-  Scratch scratch;
-  History history;
+  std::vector<Float4> solution = std::vector<Float4>(places);
+  std::vector<Float4> node = std::vector<Float4>(places), before;
+  Anderson anderson;
+  Team team;
+  AndersonHistory history;
 
   Linear() {
     std::mt19937 random(2);
     std::normal_distribution<float> normal(0, 1);
     for (size_t i = 0; i < count; ++i) solution[i] = {normal(random), normal(random), normal(random), 0};
-    scratch.node.assign(places, Quad{});
-    begin_mixing(scratch);
+    anderson.begin();
   }
   void step() {
-    scratch.from = scratch.node;
+    before = node;
     for (size_t i = 0; i < count; ++i) {
-      Quad& x = scratch.node[i];
-      const Quad& s = solution[i];
+      Float4& x = node[i];
+      const Float4& s = solution[i];
       const float by = factor[i % 5];
       x = {s.x + by * (x.x - s.x), s.y + by * (x.y - s.y), s.z + by * (x.z - s.z), 0};
     }
   }
   void mix() {
-    compare_step(scratch, history);
-    crumple::mix(scratch, history);
+    anderson.compare(before, node, team, history);
+    anderson.mix(node, team, history);
   }
   double error() const {
     double sum = 0;
     for (size_t i = 0; i < count; ++i) {
-      const Quad &x = scratch.node[i], &s = solution[i];
+      const Float4 &x = node[i], &s = solution[i];
       sum += (Vec3(x.x, x.y, x.z) - Vec3(s.x, s.y, s.z)).squaredNorm();
     }
     return std::sqrt(sum);
   }
 };
 
-TEST(Mixing, SolvesInAFewStepsWhatPlainStepsNeedHundredsFor) {
+TEST(Anderson, SolvesInAFewStepsWhatPlainStepsNeedHundredsFor) {
   Linear mixed, plain;
   const double start = mixed.error();
   for (int k = 0; k < 12; ++k) {
@@ -65,19 +67,19 @@ TEST(Mixing, SolvesInAFewStepsWhatPlainStepsNeedHundredsFor) {
   for (int k = 0; k < 100; ++k) plain.step();
   EXPECT_LT(mixed.error(), 2e-3 * start);
   EXPECT_GT(plain.error(), 0.2 * start);
-  EXPECT_EQ(mixed.history.count, mixing_depth);
+  EXPECT_EQ(mixed.history.count, anderson_depth);
 }
 
-TEST(Mixing, WhatWasLearnedInOneSubstepServesTheNext) {
+TEST(Anderson, WhatWasLearnedInOneSubstepServesTheNext) {
   for (const bool forget : {false, true}) {
     Linear linear;
     for (int k = 0; k < 7; ++k) {
       linear.step();
       linear.mix();
     }
-    for (Quad& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
+    for (Float4& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
     const double start = linear.error();
-    begin_mixing(linear.scratch);
+    linear.anderson.begin();
     if (forget) linear.history = {};
     for (int k = 0; k < 2; ++k) {
       linear.step();
@@ -88,22 +90,22 @@ TEST(Mixing, WhatWasLearnedInOneSubstepServesTheNext) {
   }
 }
 
-TEST(Mixing, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
+TEST(Anderson, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
   Linear linear;
   for (int k = 0; k < 4; ++k) {
     linear.step();
     linear.mix();
   }
   for (auto& list : linear.history.result) {
-    for (Quad& each : list) each = {1e4f * each.x, 1e4f * each.y, 1e4f * each.z, 0};  // the planted fault
+    for (Float4& each : list) each = {1e4f * each.x, 1e4f * each.y, 1e4f * each.z, 0};  // the planted fault
   }
   linear.step();
-  const std::vector<Quad> swept = linear.scratch.node;
+  const std::vector<Float4> swept = linear.node;
   linear.mix();
-  EXPECT_FALSE(same(swept, linear.scratch.node));
+  EXPECT_FALSE(same(swept, linear.node));
   linear.step();
   linear.mix();
-  EXPECT_TRUE(same(swept, linear.scratch.node));
+  EXPECT_TRUE(same(swept, linear.node));
   EXPECT_EQ(linear.history.count, 0);
   const double start = linear.error();
   for (int k = 0; k < 12; ++k) {  // and it begins anew
@@ -113,20 +115,21 @@ TEST(Mixing, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
   EXPECT_LT(linear.error(), 0.02 * start);
 }
 
-TEST(Mixing, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
+TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
   Linear clean, dirty;
-  for (size_t i = Linear::count; i < Linear::places; ++i) dirty.scratch.node[i] = {3e5f, -7, 11, 13};
+  for (size_t i = Linear::count; i < Linear::places; ++i) dirty.node[i] = {3e5f, -7, 11, 13};
   const float none = std::numeric_limits<float>::quiet_NaN();
-  for (auto* list : {&dirty.scratch.residual, &dirty.scratch.result, &dirty.scratch.unmixed, &dirty.scratch.from}) {
-    list->assign(Linear::places + 100, Quad{none, none, none, none});
-  }
+  std::vector<Float4> last_car(Linear::places + 100, Float4{none, none, none, none});
+  AndersonHistory of_last_car;
+  for (int k = 0; k < 3; ++k) dirty.anderson.compare(last_car, last_car, dirty.team, of_last_car);
+  dirty.anderson.begin();
   for (int k = 0; k < 10; ++k) {
     for (Linear* each : {&clean, &dirty}) {
       each->step();
       each->mix();
     }
     for (size_t i = 0; i < Linear::count; ++i) {
-      ASSERT_EQ(std::memcmp(&clean.scratch.node[i], &dirty.scratch.node[i], sizeof(Quad)), 0) << "step " << k << ", node " << i;
+      ASSERT_EQ(std::memcmp(&clean.node[i], &dirty.node[i], sizeof(Float4)), 0) << "step " << k << ", node " << i;
     }
   }
 }
@@ -156,7 +159,7 @@ struct Scene : Crash {
   }
   // An elastic body under a wall that has come in 40 mm and stands.
   void press() {
-    for (Material& material : parameters.region) material.yield = 0.2f;
+    for (Material& material : parameters.region) material.yield_strain = 0.2f;
     wall(0).velocity.x() = -0.6;
     ticks(4);
     obstacles[0].velocity.x() = 0;
@@ -256,7 +259,7 @@ TEST(LostShape, ATetTooThinToBeMeasuredDoesNotFlowAndTheCarDentsWithIt) {
   Body body = make_body(built.model);
   for (Scene* scene : {&plain}) scene->wall(0).velocity.x() = -1.2;
   for (int k = 0; k < 15; ++k) {
-    deform(built.model, plain.parameters, plain.mass, plain.obstacles, tick_seconds, *plain.scratch, body, plain.motion);
+    deform({built.model, plain.parameters, plain.mass, plain.obstacles, tick_seconds}, *plain.scratch, body, plain.motion);
     plain.tick();
   }
   EXPECT_EQ(body.hardening[flat], 0);
@@ -342,7 +345,7 @@ TEST(Rest, NodesOfTheCellStandAtRestAsSoonAsNothingTouchesThem) {
     if (scene.tick(1.0 / 480).substeps == 0) continue;
     for (size_t i = 0; i < scene.body.node.size(); ++i) {
       if (!scene.model.node_anchored[i]) continue;
-      float& most = scene.scratch->contact_first[i] ? pushed : adrift;
+      float& most = scene.scratch->contacts.holds(i) ? pushed : adrift;
       most = std::max(most, (scene.body.node[i] - scene.model.node[i]).norm());
     }
   }

@@ -24,7 +24,7 @@ const double h = substep_seconds(Parameters());
 Material material(float poisson = 0, float yield = 0.009f) {
   Material out;
   out.poisson_ratio = poisson;
-  out.yield = yield;
+  out.yield_strain = yield;
   return out;
 }
 
@@ -465,7 +465,7 @@ TEST(ReferenceTwin, NodalComesToTheReferenceAsItsSweepsGrow) {
     Motion motion;
     motion.velocity.x() = speed;
     const ScratchHandle scratch = make_scratch();
-    deform(model, parameters, mass, {&wall, 1}, substeps * h, *scratch, body, motion);
+    deform({model, parameters, mass, {&wall, 1}, substeps * h}, *scratch, body, motion);
     double sum = 0;
     for (size_t i = 0; i < reference.size(); ++i) sum += (body.node[i].cast<double>() - reference[i]).squaredNorm();
     return std::sqrt(sum / double(reference.size()));

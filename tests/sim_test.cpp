@@ -129,13 +129,15 @@ TEST(Contacts, WhateverComesNearIsACandidate) {
     crash.motion.angular_velocity = 6 * Eigen::Vector3d::Random();
     const Obstacle obstacle = random_obstacle(scene % 4, random);
     const double seconds = scene % 8 < 4 ? tick_seconds : 0.5;
-    std::vector<Candidates> found;
-    find_candidates(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds, found);
+    ContactSet contacts;
+    const std::vector<Candidates>& found = contacts.candidate;
+    const StepInput input{crash.model, crash.parameters, crash.mass, {&obstacle, 1}, seconds};
+    find_candidates(input, crash.body, crash.motion, contacts);
     std::vector<uint8_t> near(crash.body.node.size(), 0);
     for (const Candidates& one : found) {
       for (uint32_t node : one.node) near[node] = 1;
     }
-    EXPECT_EQ(encounter(crash.model, crash.body, crash.motion, crash.mass, {&obstacle, 1}, seconds).near, !found.empty());
+    EXPECT_EQ(encounter(input, crash.body, crash.motion).near, !found.empty());
     passed_over += found.empty();
     for (int k = 0; k <= 32; ++k) {
       const double t = seconds * k / 32;
@@ -162,7 +164,7 @@ TEST(Contacts, WhatIsDrivenAtIsMetAndWhatIsPassedByIsNot) {
     box.pose.position = at;
     box.velocity.x() = driven;
     crash.motion.velocity = velocity;
-    return encounter(crash.model, crash.body, crash.motion, crash.mass, {&box, 1}, 0.5).hit;
+    return encounter({crash.model, crash.parameters, crash.mass, {&box, 1}, 0.5}, crash.body, crash.motion).hit;
   };
   const double nose = crash.front;
   const Vec3 wall(0.5f, 5, 5), rail(50, 0.1f, 1), pole(0.05f, 0.05f, 2);
@@ -208,8 +210,12 @@ TEST(Deform, GivesTheSameWhateverItsScratchWasUsedForBefore) {
     make_box({0.5f, 5, 5}, wall);
     wall.pose.position = {2.25 + 0.55, 0, 0};
     for (int k = 0; k < 3; ++k)
-      deform(model, {}, {model.mass, model.inertia.cast<double>(), model.center_of_mass.cast<double>()}, {&wall, 1},
-             tick_seconds, scratch, body, motion);
+      deform({model,
+              {},
+              {model.mass, model.inertia.cast<double>(), model.center_of_mass.cast<double>()},
+              {&wall, 1},
+              tick_seconds},
+             scratch, body, motion);
     return hash(body);
   };
   const std::shared_ptr<const Car> cars[] = {box_car({12, 6, 4}), box_car({8, 4, 3}), box_car({5, 2, 2})};
@@ -233,7 +239,7 @@ TEST(Deform, SaysBeforehandWhichSettledBodiesATickWillSolve) {
     if (scene % 2) obstacle.velocity.setZero(), obstacle.angular_velocity.setZero();
     crash.obstacles.push_back(obstacle);
     for (int k = 0; k < 3 && crash.body.settled; ++k) {
-      const bool said = wakes(crash.model, crash.parameters, crash.mass, crash.obstacles, tick_seconds, *crash.scratch,
+      const bool said = wakes({crash.model, crash.parameters, crash.mass, crash.obstacles, tick_seconds}, *crash.scratch,
                               crash.body, crash.motion);
       const bool was = crash.tick().substeps > 0;
       EXPECT_EQ(was, said) << "scene " << scene;
@@ -267,7 +273,7 @@ TEST(Flow, BelowYieldNothingChanges) {
   const Material material;
   Gradients gradients = identity_gradients();
   float kappa = 0;
-  const Mat3 f = Vec3(1 - 0.9f * material.yield, 1, 1).asDiagonal();
+  const Mat3 f = Vec3(1 - 0.9f * material.yield_strain, 1, 1).asDiagonal();
   EXPECT_EQ(flow(elastic(material), yield_law(material), f, gradients, kappa), 0);
   EXPECT_EQ(kappa, 0);
   EXPECT_EQ(gradients.corner[0], Vec3::UnitX());
@@ -386,7 +392,7 @@ void minimise_elastically(Crash& crash) {
   crash.parameters.iterations = 400;
   crash.parameters.tolerance = 0;
   for (Material& material : crash.parameters.region) {
-    material.yield = 1;
+    material.yield_strain = 1;
     material.viscosity = 0;
   }
 }
@@ -429,9 +435,10 @@ TEST(Nodal, TwoPlanesTogetherPressWithTheForceThatTheirNodeLacks) {
   for (uint32_t node = 0; node < force.size(); ++node) {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
     int planes = 0;
-    for (size_t k = 0; k < crash.scratch->contacts.size(); ++k) {
-      if (crash.scratch->contacts[k].node != node || !crash.scratch->held[k].active) continue;
-      sum += crash.scratch->held[k].force.cast<double>();
+    for (size_t k = 0; k < crash.scratch->contacts.contact.size(); ++k) {
+      const Held& held = crash.scratch->solver.held[k];
+      if (crash.scratch->contacts.contact[k].node != node || !held.active) continue;
+      sum += held.force.cast<double>();
       ++planes;
     }
     if (planes < 2) continue;
@@ -576,7 +583,7 @@ TEST(Law, AMirroredSceneGivesTheMirroredDentWithinWhatTheSolverLeavesUndone) {
 TEST(Law, ATouchBelowYieldLeavesNoDent) {
   Crash crash;
   crash.scripted();
-  for (Material& material : crash.parameters.region) material.yield = 0.1f;
+  for (Material& material : crash.parameters.region) material.yield_strain = 0.1f;
   crash.wall(0).velocity = {-0.3, 0, 0};
   for (int k = 0; k < 4; ++k) crash.tick();
   EXPECT_GT(crash.crush(), 0.015);
@@ -717,7 +724,7 @@ TEST(Law, AWallThrowsNoCarBackFasterThanItCame) {
     Crash crash;
     for (Material& material : crash.parameters.region) {
       material.young_modulus = 1e10f;
-      material.yield = 1;
+      material.yield_strain = 1;
     }
     crash.wall().velocity.x() = -wall_speed;
     crash.motion.velocity.x() = 10;
@@ -843,6 +850,42 @@ TEST(Hostile, WhatTheMotionDidNotGiveIsNotReturnedToIt) {
     for (int k = 0; k < 20; ++k) crash.tick();
     EXPECT_LT(crash.energy(), 1.02 * brought) << "seed " << seed << " scene " << number;
   }
+}
+
+// ---- the list of a body's fields ------------------------------------------------------------------------------------------
+
+float& first_number(std::vector<Vec3>& list) { return list[0].x(); }
+float& first_number(std::vector<Gradients>& list) { return list[0].corner[0].x(); }
+float& first_number(std::vector<float>& list) { return list[0]; }
+double& first_number(Eigen::Vector3d& v) { return v.x(); }
+int& first_number(AndersonHistory& history) { return history.next; }
+template <class Number>
+Number& first_number(Number& number) {
+  return number;
+}
+
+TEST(Body, HashesEachFieldOfItsListAndRefusesWhatIsNotFiniteInIt) {
+  const std::shared_ptr<const Car> car = box_car({3, 2, 2});
+  const Body body = make_body(car->model);
+  EXPECT_EQ(refuse_fields(car->model, body, false), std::nullopt);
+  for_each_field([&](const auto& field) {
+    Body changed = body;
+    auto& number = first_number(changed.*field.value);
+    using Number = std::remove_reference_t<decltype(number)>;
+    if constexpr (std::is_same_v<Number, bool>) {
+      number = !number;
+    } else {
+      number += 1;
+    }
+    EXPECT_NE(hash(changed), hash(body)) << field.name;
+    if constexpr (std::is_floating_point_v<Number>) {
+      number = std::numeric_limits<Number>::quiet_NaN();
+      const auto refusal = refuse_fields(car->model, changed, false);
+      ASSERT_TRUE(refusal) << field.name;
+      EXPECT_NE(refusal->find(field.name), std::string::npos) << *refusal;
+      EXPECT_EQ(refuse_fields(car->model, changed, true).has_value(), field.traits.saved) << field.name;
+    }
+  });
 }
 
 }  // namespace

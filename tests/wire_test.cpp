@@ -252,7 +252,7 @@ TEST(Decode, ChangesOnlyTheParametersThatAreThere) {
   Parameters parameters, expected;
   apply(std::get<ParametersOrder>(order), parameters);
   expected.solver = Solver::classic;
-  expected.region[2].yield = 0.5f;
+  expected.region[2].yield_strain = 0.5f;
   EXPECT_EQ(parameters, expected);
 }
 

@@ -255,7 +255,7 @@ TEST(World, CommandsAreRefusedWithSentencesThatNameTheRemedy) {
   says(scene.ask("a", host::parameters([](auto& p) { p.add_region(1); })), "this car's regions are 0 to 0");
   EXPECT_EQ(scene.car("a").parameters, Parameters{});
   EXPECT_EQ(scene.ask("a", host::parameters([](auto& p) { p.add_yield(0.5f); })), "");
-  EXPECT_EQ(scene.car("a").parameters.region[0].yield, 0.5f);
+  EXPECT_EQ(scene.car("a").parameters.region[0].yield_strain, 0.5f);
   EXPECT_EQ(scene.ask("a", host::despawn()), "");
   says(scene.ask("a", host::despawn()), "car a does not live here");
   says(scene.ask("a/b/c", host::despawn()), "key \"car/a/b/c\" is none of");

@@ -12,8 +12,9 @@ namespace crumple::client {
 
 inline const CLI::Validator scene(
     [](std::string& text) -> std::string {
-      return crumple::is_scene(text) ? ""
-                                     : "\"" + text + "\" is not the name of a scene: use " + id_rule + ", but not \"asset\"";
+      if (crumple::is_scene(text)) return "";
+      return crumple::is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
+                                  : "\"" + text + "\" is not an id: use " + id_rule;
     },
     "ID");
 inline const CLI::Validator id(

@@ -3,12 +3,16 @@
 // Lanes that are left over point at one node and one tet that the car does not have: index n and t of arrays one longer.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
 namespace crumple {
 
 inline constexpr int lanes = 16;
+
+// How long an array of n nodes is: one more for the lanes that are left over, and whole rounds of 16 floats.
+constexpr size_t padded_nodes(size_t n) { return (n + 4) / 4 * 4; }
 
 // Of each lane's node one tet: its other corners, so ordered that the volume they span with the node is positive at rest.
 struct Row {

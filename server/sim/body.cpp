@@ -3,28 +3,66 @@
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
+#include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 namespace crumple {
 namespace {
 
 constexpr float farthest_node = 10;  // m from rest: no dent is as deep, and int16 quanta of 0.5 mm end at 16 m
 
-template <class T>
-uint64_t chain(const std::vector<T>& values, uint64_t seed) {
-  return XXH64(values.data(), values.size() * sizeof(T), seed);
+void take_towards(float amount, float rest, float& value) { value = value + amount * (rest - value); }
+void take_towards(float amount, const Vec3& rest, Vec3& value) { value = value + amount * (rest - value); }
+void take_towards(float amount, const Gradients& rest, Gradients& value) {
+  for (int k = 0; k < 3; ++k) take_towards(amount, rest.corner[k], value.corner[k]);
 }
+
+// A hash of all fields: lists as they come, single numbers together at the end.
+class BodyHash {
+ public:
+  BodyHash() { numbers_.reserve(32); }
+  template <class T>
+  void operator()(const std::vector<T>& list) {
+    chain(list.data(), list.size() * sizeof(T));
+  }
+  template <class Number>
+  requires std::is_arithmetic_v<Number>
+  void operator()(Number number) { numbers_.push_back(double(number)); }
+  void operator()(const Eigen::Vector3d& v) { numbers_.insert(numbers_.end(), v.data(), v.data() + 3); }
+  void operator()(const AndersonHistory& history) {
+    each_field(history, [&](const auto& each) {
+      using Field = std::remove_cvref_t<decltype(each)>;
+      if constexpr (std::is_arithmetic_v<Field>) {
+        (*this)(each);
+      } else if constexpr (std::is_trivially_copyable_v<Field>) {
+        chain(&each, sizeof each);
+      }  // lists are known by what they come to
+    });
+  }
+  uint64_t value() {
+    chain(numbers_.data(), numbers_.size() * sizeof(double));
+    return sum_;
+  }
+
+ private:
+  void chain(const void* data, size_t size) { sum_ = XXH64(data, size, sum_); }
+
+  uint64_t sum_ = 0;
+  std::vector<double> numbers_;
+};
 
 }  // namespace
 
 Body make_body(const Model& model) {
   Body body;
-  body.node.assign(model.node.begin(), model.node.end());
-  body.step.assign(model.node.size(), Vec3::Zero());
-  body.gradients.assign(model.gradients.begin(), model.gradients.end());
-  body.hardening.assign(model.tet.size(), 0.0f);
-  body.edge_rest.assign(model.edge_rest.begin(), model.edge_rest.end());
-  body.tet_rest.assign(model.tet_rest.begin(), model.tet_rest.end());
+  for_each_field([&](const auto& field) {
+    if constexpr (IsList<decltype(field)>) {
+      auto& list = body.*field.value;
+      list.resize(count_of(model, field.per));
+      for (size_t i = 0; i < list.size(); ++i) list[i] = rest_of(model, field, i);
+    }
+  });
   measure_reach(model, body);
   return body;
 }
@@ -36,14 +74,15 @@ void repair(const Model& model, float amount, Body& body) {
     body.absorbed = absorbed;
     return;
   }
-  const auto towards = [amount](auto& value, const auto& rest) { value = value + amount * (rest - value); };
-  for (size_t i = 0; i < body.node.size(); ++i) towards(body.node[i], model.node[i]);
-  for (size_t t = 0; t < body.gradients.size(); ++t) {
-    for (int k = 0; k < 3; ++k) towards(body.gradients[t].corner[k], model.gradients[t].corner[k]);
-    towards(body.hardening[t], 0.0f);
-    towards(body.tet_rest[t], model.tet_rest[t]);
-  }
-  for (size_t e = 0; e < body.edge_rest.size(); ++e) towards(body.edge_rest[e], model.edge_rest[e]);
+  for_each_field([&](const auto& field) {
+    if constexpr (IsList<decltype(field)>) {
+      auto& list = body.*field.value;
+      for (size_t i = 0; i < list.size() && field.traits.repaired; ++i) {
+        take_towards(amount, rest_of(model, field, i), list[i]);
+      }
+    }
+  });
+  // The solver's memory of the motion that made the damage.
   for (Vec3& step : body.step) step.setZero();
   body.history = {};
   measure_reach(model, body);
@@ -61,58 +100,54 @@ void measure_reach(const Model& model, Body& body) {
   body.reach = std::sqrt(most);
 }
 
+std::optional<std::string> refuse_fields(const Model& model, const Body& body, bool saved) {
+  std::optional<std::string> refusal;
+  for_each_field([&](const auto& field) {
+    if (refusal || (saved && !field.traits.saved)) return;
+    const auto wrong = [&](float number) { return !std::isfinite(number) || (field.traits.not_negative && number < 0); };
+    const auto& value = body.*field.value;
+    const std::string name = std::string("the state's ") + field.name;
+    if constexpr (IsList<decltype(field)>) {
+      const size_t should = count_of(model, field.per);
+      const bool fits = value.size() == should;
+      if (!fits) {
+        refusal = name + " has " + std::to_string(value.size()) + " entries and the car's " + std::to_string(should) +
+                  ": it is of another car";
+      }
+      const auto is_wrong = [&](const auto& entry) {
+        const auto* numbers = reinterpret_cast<const float*>(&entry);
+        return std::any_of(numbers, numbers + sizeof entry / sizeof(float), wrong);
+      };
+      const auto found = std::find_if(value.begin(), value.end(), is_wrong);
+      if (fits && found != value.end()) {
+        refusal = name + " has a number that is not finite, or negative where none may be, in entry " +
+                  std::to_string(found - value.begin());
+      }
+    } else if constexpr (std::is_same_v<decltype(value), const AndersonHistory&>) {
+      if (!is_sound(value, model.node.size())) refusal = name + " is none that the solver makes";
+    } else if constexpr (std::is_same_v<decltype(value), const Eigen::Vector3d&>) {
+      if (!value.allFinite()) refusal = name + " is not finite";
+    } else if (!std::isfinite(double(value)) || (field.traits.not_negative && double(value) < 0)) {
+      refusal = name + " is not finite, or negative where it may not be";
+    }
+  });
+  return refusal;
+}
+
 std::optional<std::string> refuse_state(const Model& model, const Body& body) {
-  const auto size_of = [](const char* name, size_t is, size_t should) {
-    return "the state has " + std::to_string(is) + " " + name + " and the car " + std::to_string(should) +
-           ": it is of another car";
-  };
-  if (body.node.size() != model.node.size()) return size_of("nodes", body.node.size(), model.node.size());
-  if (body.gradients.size() != model.tet.size()) return size_of("tets", body.gradients.size(), model.tet.size());
-  if (body.hardening.size() != model.tet.size()) return size_of("hardening values", body.hardening.size(), model.tet.size());
-  if (body.edge_rest.size() != model.edge.size()) return size_of("edges", body.edge_rest.size(), model.edge.size());
-  if (body.tet_rest.size() != model.tet.size()) return size_of("tet volumes", body.tet_rest.size(), model.tet.size());
+  if (auto refusal = refuse_fields(model, body, true)) return refusal;
   for (size_t i = 0; i < body.node.size(); ++i) {
     if (!((body.node[i] - model.node[i]).norm() <= farthest_node)) {
-      return "node " + std::to_string(i) + " of the state is farther than 10 m from rest or not finite";
+      return "node " + std::to_string(i) + " of the state is farther than 10 m from rest";
     }
-  }
-  for (size_t t = 0; t < body.gradients.size(); ++t) {
-    bool finite = std::isfinite(body.hardening[t]) && body.hardening[t] >= 0 && std::isfinite(body.tet_rest[t]);
-    for (const Vec3& corner : body.gradients[t].corner) finite = finite && corner.allFinite();
-    if (!finite) return "tet " + std::to_string(t) + " of the state has a value that is not finite, or negative hardening";
-  }
-  for (float rest : body.edge_rest) {
-    if (!(std::isfinite(rest) && rest >= 0)) return std::string("the state has an edge length that is negative or not finite");
   }
   return std::nullopt;
 }
 
 uint64_t hash(const Body& body) {
-  uint64_t sum = chain(body.node, 0);
-  sum = chain(body.step, sum);
-  sum = chain(body.gradients, sum);
-  sum = chain(body.hardening, sum);
-  sum = chain(body.edge_rest, sum);
-  sum = chain(body.tet_rest, sum);
-  // The changes themselves are known by their products; reach, low and high by the nodes.
-  sum = XXH64(body.history.products.data(), sizeof body.history.products, sum);
-  const double numbers[] = {body.absorbed,
-                            body.stored,
-                            body.owed,
-                            double(body.touching),
-                            double(body.settled),
-                            double(body.lost),
-                            double(body.drift),
-                            double(body.step_seconds),
-                            double(body.history.count),
-                            double(body.history.next),
-                            body.force.x(),
-                            body.force.y(),
-                            body.force.z(),
-                            body.moment.x(),
-                            body.moment.y(),
-                            body.moment.z()};
-  return XXH64(numbers, sizeof numbers, sum);
+  BodyHash sum;
+  for_each_field([&](const auto& field) { sum(body.*field.value); });
+  return sum.value();
 }
 
 }  // namespace crumple

@@ -1,11 +1,14 @@
 // What one car keeps between ticks, and nothing else: its hash decides whether two runs are the same.
 #pragma once
 
+#include <optional>
+#include <span>
 #include <string>
+#include <type_traits>
 #include <vector>
 
+#include "sim/anderson.h"
 #include "sim/material.h"
-#include "sim/mixing.h"
 #include "sim/model.h"
 #include "sim/motion.h"
 
@@ -19,7 +22,7 @@ struct Body {
   std::vector<float> hardening;      // per tet: accumulated plastic strain
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
   std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
-  History history;                   // of the solver's last steps; empty when settled
+  AndersonHistory history;           // of the solver's last steps; empty when settled
   double absorbed = 0;               // J since spawn: plastic work, drag, friction
   double stored = 0;                 // J: elastic, now
   double owed = 0;                   // J of it that the motion did not give: the body may not return them
@@ -35,6 +38,81 @@ struct Body {
   bool settled = true;    // nothing moved in the last sub-step: costs nothing until touched
 };
 
+// ---- the list of its fields
+// ------------------------------------------------------------------------------------------------------
+
+// What a list has one value per.
+enum class Per : uint8_t { node, tet, edge };
+inline size_t count_of(const Model& model, Per per) {
+  return per == Per::node ? model.node.size() : per == Per::tet ? model.tet.size() : model.edge.size();
+}
+
+// How a field is treated besides being copied.
+struct FieldTraits {
+  bool saved = false;         // it is part of the protocol's State
+  bool transferred = false;   // it goes to another level of the car as it is
+  bool repaired = false;      // a partial repair takes it towards its value in an undamaged car
+  bool not_negative = false;  // else any finite number
+};
+
+template <class T>
+struct ListField {
+  const char* name;  // as State has it, where it is saved
+  std::vector<T> Body::*value;
+  Per per;
+  std::span<const T> Model::*rest;  // of an undamaged car; null: zeros
+  FieldTraits traits;
+};
+template <class Field>
+concept IsList = requires(Field field) {
+  field.per;
+};
+
+template <class T>
+struct SingleField {
+  const char* name;
+  T Body::*value;
+  FieldTraits traits;
+};
+
+// Every field, once, but what measure_reach() makes of them. In this order the hash takes them in and a snapshot has them.
+// Whoever treats a body field by field calls this with a function for ListField and SingleField: make_body, repair,
+// refuse_state, hash (body.cpp), restore (recovery.cpp), transfer (transfer.cpp), snapshots (tick/fields.h), State
+// (wire/state_fields.h).
+template <class Visit>
+constexpr void for_each_field(const Visit& visit) {
+  using enum Per;
+  visit(ListField<Vec3>{"node", &Body::node, node, &Model::node, {.saved = true, .repaired = true}});
+  visit(ListField<Vec3>{"step", &Body::step, node, nullptr, {}});
+  visit(ListField<Gradients>{"gradients", &Body::gradients, tet, &Model::gradients, {.saved = true, .repaired = true}});
+  visit(ListField<float>{"hardening", &Body::hardening, tet, nullptr, {.saved = true, .repaired = true, .not_negative = true}});
+  visit(ListField<float>{
+      "edge_rest", &Body::edge_rest, edge, &Model::edge_rest, {.saved = true, .repaired = true, .not_negative = true}});
+  visit(ListField<float>{"tet_rest", &Body::tet_rest, tet, &Model::tet_rest, {.saved = true, .repaired = true}});
+  visit(SingleField<double>{"absorbed", &Body::absorbed, {.saved = true, .transferred = true}});
+  visit(SingleField<double>{"stored", &Body::stored, {.saved = true, .transferred = true}});
+  visit(SingleField<double>{"owed", &Body::owed, {.transferred = true, .not_negative = true}});
+  visit(SingleField<bool>{"touching", &Body::touching, {}});
+  visit(SingleField<bool>{"settled", &Body::settled, {.saved = true, .transferred = true}});
+  visit(SingleField<bool>{"lost", &Body::lost, {.transferred = true}});
+  visit(SingleField<float>{"drift", &Body::drift, {.not_negative = true}});
+  visit(SingleField<float>{"step_seconds", &Body::step_seconds, {.not_negative = true}});
+  visit(SingleField<AndersonHistory>{"history", &Body::history, {}});
+  visit(SingleField<Eigen::Vector3d>{"force", &Body::force, {}});
+  visit(SingleField<Eigen::Vector3d>{"moment", &Body::moment, {}});
+}
+
+// The value at place i of a list in an undamaged car.
+template <class T>
+T rest_of(const Model& model, const ListField<T>& field, size_t i) {
+  if (field.rest) return (model.*field.rest)[i];
+  if constexpr (std::is_same_v<T, Vec3>) return Vec3::Zero();
+  return T{};
+}
+
+// ---- what is done with it
+// --------------------------------------------------------------------------------------------------------
+
 // An undamaged car.
 Body make_body(const Model&);
 
@@ -44,7 +122,11 @@ void repair(const Model&, float amount, Body&);
 // After nodes moved.
 void measure_reach(const Model&, Body&);
 
-// Why these arrays cannot be the state of this car (sizes, non-finite values, or nodes farther than 10 m from rest).
+// Why these fields cannot be a body of this car: a list of another size, a number that is not finite or must not be negative.
+// saved: of those that State has only.
+[[nodiscard]] std::optional<std::string> refuse_fields(const Model&, const Body&, bool saved);
+
+// Why what State has cannot be the state of this car: as above, or nodes farther than 10 m from rest.
 [[nodiscard]] std::optional<std::string> refuse_state(const Model&, const Body&);
 
 // XXH64 over everything in the body.

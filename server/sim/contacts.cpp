@@ -44,14 +44,14 @@ Metres candidate_distance(Metres travel) {
 // What most obstacles are passed over by: they are far away. The same for all of them, of one car.
 class Reach {
  public:
-  Reach(const Model& model, const Body& body, const Motion& motion, const Mass& mass, double seconds)
-      : centre_(motion.pose.position + motion.pose.orientation * model.center_of_mass.cast<double>()),
+  Reach(const StepInput& input, const Body& body, const Motion& motion)
+      : centre_(motion.pose.position + motion.pose.orientation * input.model.center_of_mass.cast<double>()),
         velocity_(motion.velocity),
         speed_(motion.velocity.norm()),
         turning_(motion.angular_velocity.norm() *
-                 (3 * double(body.reach) + (mass.center - model.center_of_mass.cast<double>()).norm())),
+                 (3 * double(body.reach) + (input.mass.center - input.model.center_of_mass.cast<double>()).norm())),
         own_(double(body.reach) + 1e-3),
-        seconds_(seconds) {}
+        seconds_(input.seconds) {}
   // travel: m, at least as far as this.
   bool excludes(const Obstacle& obstacle, double travel = 0) const {
     if (!obstacle.angular_velocity.isZero(0)) return false;  // seen from it the car moves, the faster the farther away
@@ -65,13 +65,14 @@ class Reach {
   double speed_, turning_, own_, seconds_;
 };
 
-std::optional<Approach> approach(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
-                                 const Obstacle& obstacle, double seconds, float least = 0) {
+std::optional<Approach> approach(const StepInput& input, const Body& body, const Motion& motion, const Obstacle& obstacle,
+                                 float least = 0) {
   const Relative start = relative(motion.pose, obstacle.pose);
-  const Relative end =
-      relative(advance(motion, mass, seconds), advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, seconds));
+  const Relative end = relative(advance(motion, input.mass, input.seconds),
+                                advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, input.seconds));
   const Mat3 turn = end.rotation - start.rotation;
-  const float travel = (turn * model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
+  const float travel =
+      (turn * input.model.center_of_mass + end.translation - start.translation).norm() + turn.norm() * body.reach;
   const float near = candidate_distance(std::max(travel, least));
   if (beyond(obstacle, start, body, near)) return std::nullopt;
   return Approach{start, travel, near};
@@ -85,23 +86,22 @@ bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& nod
 
 }  // namespace
 
-Encounter encounter(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
-                    std::span<const Obstacle> obstacles, double seconds) {
-  const Reach reach(model, body, motion, mass, seconds);
+Encounter encounter(const StepInput& input, const Body& body, const Motion& motion) {
+  const Reach reach(input, body, motion);
   const auto meets = [&](const Obstacle& obstacle, float travel) {
     if (travel < contact_margin) return false;
     const int looks = int(std::min(most_looks, 1 + travel / look_travel));
     for (int k = 1; k <= looks; ++k) {
-      const double time = seconds * k / looks;
+      const double time = input.seconds * k / looks;
       const Pose there = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, time);
-      if (!beyond(obstacle, relative(advance(motion, mass, time), there), body, 0)) return true;
+      if (!beyond(obstacle, relative(advance(motion, input.mass, time), there), body, 0)) return true;
     }
     return false;
   };
   Encounter out;
-  for (const Obstacle& obstacle : obstacles) {
+  for (const Obstacle& obstacle : input.obstacles) {
     if (reach.excludes(obstacle)) continue;
-    const auto found = approach(model, body, motion, mass, obstacle, seconds);
+    const auto found = approach(input, body, motion, obstacle);
     const auto near = [&](const Vec3& node) { return is_near(obstacle, *found, node); };
     if (!found || std::none_of(body.node.begin(), body.node.end(), near)) continue;
     out.near = true;
@@ -111,19 +111,20 @@ Encounter encounter(const Model& model, const Body& body, const Motion& motion, 
   return out;
 }
 
-void find_candidates(const Model& model, const Body& body, const Motion& motion, const Mass& mass,
-                     std::span<const Obstacle> obstacles, double seconds, std::vector<Candidates>& out) {
+void find_candidates(const StepInput& input, const Body& body, const Motion& motion, ContactSet& contacts) {
+  const std::span<const Obstacle> obstacles = input.obstacles;
+  std::vector<Candidates>& out = contacts.candidate;
   out.clear();
-  const Reach reach(model, body, motion, mass, seconds);
+  const Reach reach(input, body, motion);
   float travel = -1;
-  for (const Obstacle& obstacle : obstacles) {
+  for (const Obstacle& obstacle : input.obstacles) {
     if (reach.excludes(obstacle)) continue;
-    if (const auto found = approach(model, body, motion, mass, obstacle, seconds)) travel = std::max(travel, found->travel);
+    if (const auto found = approach(input, body, motion, obstacle)) travel = std::max(travel, found->travel);
   }
   if (travel < 0) return;
   for (uint32_t index = 0; index < obstacles.size(); ++index) {
     if (reach.excludes(obstacles[index], double(travel))) continue;
-    const auto found = approach(model, body, motion, mass, obstacles[index], seconds, travel);
+    const auto found = approach(input, body, motion, obstacles[index], travel);
     if (!found) continue;
     Candidates candidates{index, {}};
     for (uint32_t node = 0; node < body.node.size(); ++node) {
@@ -133,13 +134,14 @@ void find_candidates(const Model& model, const Body& body, const Motion& motion,
   }
 }
 
-bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, std::span<const Candidates> candidates,
-                   const Pose& from, const Pose& to, double start, double h, std::vector<Contact>& out) {
+bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, const FramePath& frame, ContactSet& contacts) {
+  std::vector<Contact>& out = contacts.contact;
   out.clear();
-  for (const Candidates& near : candidates) {
+  for (const Candidates& near : contacts.candidate) {
     const Obstacle& obstacle = obstacles[near.obstacle];
-    const Relative first = relative(from, advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, start));
-    const Relative last = relative(to, advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, start + h));
+    const auto at = [&](double time) { return advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, time); };
+    const Relative first = relative(frame.from, at(frame.start));
+    const Relative last = relative(frame.to, at(frame.start + frame.seconds));
     const Mat3 back = last.rotation.transpose();
     for (uint32_t node : near.node) {
       const Vec3 local = first.rotation * body.node[node] + first.translation;
@@ -155,7 +157,7 @@ bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, std::s
       contact.before = plane.normal.dot(local) - plane.offset;
       contact.after = contact.normal.dot(body.node[node]) - contact.offset;
       if (contact.after > contact_margin) continue;
-      if (contact.before < 0) contact.offset -= std::max(0.0f, -contact.before - push_out_speed * float(h));
+      if (contact.before < 0) contact.offset -= std::max(0.0f, -contact.before - push_out_speed * float(frame.seconds));
       out.push_back(contact);
     }
   }
@@ -174,6 +176,11 @@ bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, std::s
   }
   out.resize(kept);
   return all;
+}
+
+void index_contacts(size_t nodes, ContactSet& contacts) {
+  contacts.first.assign(nodes, 0);
+  for (size_t k = contacts.contact.size(); k-- > 0;) contacts.first[contacts.contact[k].node] = uint32_t(k + 1);
 }
 
 }  // namespace crumple

@@ -7,9 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "sim/body.h"
-#include "sim/motion.h"
-#include "sim/obstacle.h"
+#include "sim/step.h"
 
 namespace crumple {
 
@@ -43,6 +41,23 @@ struct Candidates {
   std::vector<uint32_t> node;
 };
 
+// What a contact does in a sub-step, as the solver leaves it.
+struct Held {
+  bool active = false;
+  Vec3 force = Vec3::Zero();  // of the obstacle on the node, N, car's frame
+};
+
+// The contacts of one car; written by the functions below and by nobody else.
+struct ContactSet {
+  std::vector<Candidates> candidate;  // of the tick: per obstacle that is near
+  std::vector<Contact> contact;       // of the sub-step; sorted by node, at most contacts_per_node each
+  std::vector<uint32_t> first;        // per node: its first contact + 1; 0: none (index_contacts)
+
+  bool holds(size_t node) const { return first[node] != 0; }
+  // Whether it is the first of its node: for what is done once a node.
+  bool is_first(const Contact& c) const { return first[c.node] == size_t(&c - contact.data()) + 1; }
+};
+
 // What a car meets, if it and all obstacles move on steadily.
 struct Encounter {
   bool near = false;  // a node may meet one
@@ -51,16 +66,22 @@ struct Encounter {
   bool hit = false;
   float width = std::numeric_limits<float>::infinity();  // of the narrowest one near, m
 };
-Encounter encounter(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds);
+Encounter encounter(const StepInput&, const Body&, const Motion&);
 
 // The choice of candidates, once a tick, from the car's and the obstacles' steady motions. An obstacle that comes may push the
 // car on into another one within the tick: nodes are candidates of all as far away as any of them moves against the car.
-void find_candidates(const Model&, const Body&, const Motion&, const Mass&, std::span<const Obstacle>, double seconds,
-                     std::vector<Candidates>& out);
+void find_candidates(const StepInput&, const Body&, const Motion&, ContactSet&);
 
-// Contacts of one sub-step of h seconds that starts at `start` seconds into the tick, while the car's frame goes from one pose
-// to the other; sorted by node, at most contacts_per_node each. Returns false if some node met more.
-bool find_contacts(const Body&, std::span<const Obstacle>, std::span<const Candidates>, const Pose& from, const Pose& to,
-                   double start, double h, std::vector<Contact>& out);
+// The way of the car's frame in one sub-step, which is `seconds` long and starts at `start` seconds into the tick.
+struct FramePath {
+  Pose from, to;
+  double start, seconds;
+};
+
+// Contacts of one sub-step. Returns false if some node met more than contacts_per_node: the deepest are kept.
+bool find_contacts(const Body&, std::span<const Obstacle>, const FramePath&, ContactSet&);
+
+// After it, where nodes are asked for their contacts.
+void index_contacts(size_t nodes, ContactSet&);
 
 }  // namespace crumple

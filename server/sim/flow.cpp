@@ -50,8 +50,8 @@ Elastic elastic(const Material& material) {
 YieldLaw yield_law(const Material& material) {
   const Elastic e = elastic(material);
   const float lambda = e.l - e.mu;
-  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield, material.young_modulus * material.hardening,
-          material.plastic_limit};
+  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield_strain,
+          material.young_modulus * material.hardening, material.plastic_limit};
 }
 
 float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float kappa) {

@@ -2,7 +2,7 @@
 // Frobenius norm of the stress, |tau| = Y, with tau the Kirchhoff stress of the stable neo-Hookean energy. A car body is
 // mostly air: it compacts under pressure, where an incompressible solid (J2) would bulge.
 //   flow rule   d(strain) = d(kappa) tau / |tau|      (associated; strain logarithmic)
-//   hardening   Y = E (yield + hardening kappa),      kappa = accumulated plastic strain <= plastic_limit
+//   hardening   Y = E (yield_strain + hardening kappa),      kappa = accumulated plastic strain <= plastic_limit
 #pragma once
 
 #include "sim/body.h"

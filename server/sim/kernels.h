@@ -3,8 +3,7 @@
 // times its volume without load), N area vector of the face opposite a node (twice its area), kappa accumulated plastic strain.
 #pragma once
 
-#include <cstddef>
-
+#include "sim/anderson_kernels.h"
 #include "sim/blocks.h"
 #include "sim/vector.h"
 
@@ -32,13 +31,13 @@ struct Weights {
   float other[3][lanes];
 };
 
-// Stiffness of a tet as a Quad: x = mu V, N m; y = l V D^2, N/m^5; z = gamma / D, m^3; w unused.
+// Stiffness of a tet as a Float4: x = mu V, N m; y = l V D^2, N/m^5; z = gamma / D, m^3; w unused.
 
 struct NodeView {
-  Quad* node;               // n + 1 positions
-  const Quad* before;       // n + 1 positions at the start of the sub-step; w: drag, N/m
-  const Quad* rest;         // n + 1 positions; w: anchor spring, N/m
-  const Quad* stiffness;    // t + 1
+  Float4* node;             // n + 1 positions
+  const Float4* before;     // n + 1 positions at the start of the sub-step; w: drag, N/m
+  const Float4* rest;       // n + 1 positions; w: anchor spring, N/m
+  const Float4* stiffness;  // t + 1
   const uint32_t* index;    // of Blocks: node
   const uint32_t* row;      // of Blocks
   const uint8_t* anchored;  // of Blocks
@@ -59,7 +58,7 @@ struct NodeView {
 };
 
 struct TetView {
-  const Quad* node;  // n + 1
+  const Float4* node;  // n + 1
   const TetGroup* group;
   const TetLanes* tet;
   const uint8_t* region;   // t, padded to whole groups
@@ -70,27 +69,20 @@ struct TetView {
 struct Kernels {
   const char* name;
   // Minimises node by node, blocks [first, last).
-  void (*visit)(const NodeView&, uint32_t first, uint32_t last);
+  void (*relax_nodes)(const NodeView&, uint32_t first, uint32_t last);
   // Secant moduli of the groups [first, last), as flow.h has them. flowing: per group, lanes whose tet is beyond yield; where
   // none was before and none is now the moduli are left as they stand. Returns how many tets have lost their shape: inverted,
   // nearly flat, or stretched beyond what any crash does.
-  uint32_t (*renew)(const TetView&, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing);
+  uint32_t (*update_secant_moduli)(const TetView&, uint32_t first, uint32_t last, Float4* stiffness, uint16_t* flowing);
   // Adds the derivative of the elastic energy along `direction`, sum derivative[k] a^k, of the groups [first, last).
-  void (*slope)(const TetView&, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
-                double derivative[6]);
+  void (*line_derivative)(const TetView&, uint32_t first, uint32_t last, const Float4* stiffness, const Float4* direction,
+                          double derivative[6]);
   // Plastic flow (flow.h) of the lanes `flowing`, as far as they are beyond yield and not inverted. Changes gradients and
   // kappa; returns the plastic work, J.
   double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, const uint16_t* flowing);
   // Elastic energy of the groups [first, last) at their full moduli, J.
   double (*energy)(const TetView&, uint32_t first, uint32_t last);
-  // Of mixing.h, on n quads, a multiple of four. Replaces residual by after - before and result by after; by how much they
-  // changed goes out, and the square of the new residual's length, m^2.
-  void (*compare)(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
-                  Quad* result_change, double* size);
-  // out[p] = a . b[p], p < count.
-  void (*products)(const Quad* a, const Quad* const* b, int count, size_t n, double* out);
-  // to += sum scale[p] a[p]
-  void (*combine)(const Quad* const* a, const float* scale, int count, size_t n, Quad* to);
+  AndersonKernels anderson;
 };
 
 // The widest that this processor has; or by name (portable, avx2, avx512), nullptr if it lacks it: for tests.

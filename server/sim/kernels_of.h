@@ -5,6 +5,7 @@
 #include <bit>
 #include <initializer_list>
 
+#include "sim/anderson_kernels_of.h"
 #include "sim/kernels.h"
 
 namespace crumple {
@@ -20,11 +21,11 @@ struct Block {
 // - sum w_o, J = D e_0 . N, dJ = - D N.
 template <int N>
 CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane, const Vec3s<N>& position,
-                                     const Quads<N>& before) {
+                                     const Float4s<N>& before) {
   const Floats<N> drag = before.w;
   Block<N> out{(position - before.xyz()) * drag, drag, drag, drag, {}, {}, {}};
   if (v.anchored[block]) {
-    const Quads<N> rest = gather<N>(v.rest, &v.index[lanes * block + lane]);
+    const Float4s<N> rest = gather<N>(v.rest, &v.index[lanes * block + lane]);
     out.gradient = out.gradient + (position - rest.xyz()) * rest.w;
     out.xx += rest.w;
     out.yy += rest.w;
@@ -34,7 +35,7 @@ CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane
   for (uint32_t r = v.row[block]; r < v.row[block + 1]; ++r) {
     const Row& row = v.rows[r];
     const Weights& weights = v.weights[r];
-    const Quads<N> s = gather<N>(v.stiffness, row.tet + lane);
+    const Float4s<N> s = gather<N>(v.stiffness, row.tet + lane);
     const Vec3s<N> a = gather<N>(v.node, row.other[0] + lane).xyz() - position;
     const Vec3s<N> b = gather<N>(v.node, row.other[1] + lane).xyz() - position;
     const Vec3s<N> c = gather<N>(v.node, row.other[2] + lane).xyz() - position;
@@ -88,7 +89,7 @@ CRUMPLE_INLINE void wake_around(const NodeView& v, uint32_t block) {
 }
 
 template <int N>
-void visit(const NodeView& v, uint32_t first, uint32_t last) {
+void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
   for (uint32_t block = first; block < last; ++block) {
     if (!v.awake[block]) continue;
     const unsigned still = v.still[block], touched = v.touched[block];
@@ -96,7 +97,7 @@ void visit(const NodeView& v, uint32_t first, uint32_t last) {
     bool moved = touched != 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const uint32_t* index = &v.index[lanes * block + lane];
-      const Quads<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
+      const Float4s<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
       const Block<N> b = gather_block<N>(v, block, lane, position.xyz(), before);
       if (!v.measure) {
         const Vec3s<N> target = position.xyz() - solve<N>(b) * broadcast<N>(v.relaxation);
@@ -172,7 +173,7 @@ struct Edges {
   Vec3s<N> a, b, c;
 };
 template <int N>
-CRUMPLE_INLINE Edges<N> edges_of(const Quad* node, const TetGroup& group, int lane) {
+CRUMPLE_INLINE Edges<N> edges_of(const Float4* node, const TetGroup& group, int lane) {
   const Vec3s<N> origin = gather<N>(node, group.node[0] + lane).xyz();
   return {gather<N>(node, group.node[1] + lane).xyz() - origin, gather<N>(node, group.node[2] + lane).xyz() - origin,
           gather<N>(node, group.node[3] + lane).xyz() - origin};
@@ -222,7 +223,7 @@ constexpr float lost_volume = 0.02f;  // share of its volume left
 constexpr float lost_stretch = 6;     // mean square of its stretches: four times as long, or two and a half in all directions
 
 template <int N>
-uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness, uint16_t* flowing) {
+uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, Float4* stiffness, uint16_t* flowing) {
   uint32_t lost = 0;
   for (uint32_t g = first; g < last; ++g) {
     if (!v.stirred[g]) continue;
@@ -266,8 +267,8 @@ uint32_t renew(const TetView& v, uint32_t first, uint32_t last, Quad* stiffness,
 }
 
 template <int N>
-void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffness, const Quad* direction,
-           double derivative[6]) {
+void line_derivative(const TetView& v, uint32_t first, uint32_t last, const Float4* stiffness, const Float4* direction,
+                     double derivative[6]) {
   constexpr uint32_t together = 16;  // groups summed in single precision
   for (uint32_t begin = first; begin < last; begin += together) {
     Floats<N> sum[lanes / N][6] = {};
@@ -287,7 +288,7 @@ void slope(const TetView& v, uint32_t first, uint32_t last, const Quad* stiffnes
         const Matrices<N> f0 = deformation_of<N>(e, ga, gb, gc), f1 = deformation_of<N>(f, ga, gb, gc);
         uint32_t index[N];
         for (int k = 0; k < N; ++k) index[k] = lanes * g + lane + k;
-        const Quads<N> s = gather<N>(stiffness, index);
+        const Float4s<N> s = gather<N>(stiffness, index);
         // six times the volume along the line: j0 + j1 a + j2 a^2 + j3 a^3, less where it wants to be
         const Vec3s<N> ebc = cross(e.b, e.c), fbc = cross(f.b, f.c), mixed = cross(f.b, e.c) + cross(e.b, f.c);
         const Floats<N> j0 = dot(e.a, ebc) - s.z, j1 = dot(f.a, ebc) + dot(e.a, mixed), j2 = dot(f.a, mixed) + dot(e.a, fbc),
@@ -460,76 +461,9 @@ double energy(const TetView& v, uint32_t first, uint32_t last) {
   return sum;
 }
 
-// Sums in 16 lanes of single precision, 256 quads at a time, and these in double: the same for any N.
-constexpr size_t floats_together = 1024;
-
 template <int N>
-struct Sum {
-  Floats<N> part[lanes / N] = {};
-  CRUMPLE_INLINE double total() const {
-    double sum = 0;
-    for (const Floats<N>& each : part) {
-      for (int k = 0; k < N; ++k) sum += double(each[k]);
-    }
-    return sum;
-  }
-};
-
-// work(i, part) for all floats [begin, end), N at a time, 16 a round.
-template <int N, class Work>
-CRUMPLE_INLINE void rounds(size_t begin, size_t end, const Work& work) {
-  for (size_t i = begin; i < end; i += lanes) {
-    for (int part = 0; part < lanes / N; ++part) work(i + part * N, part);
-  }
-}
-
-template <int N>
-void compare(const Quad* after, const Quad* before, size_t n, Quad* residual, Quad* result, Quad* residual_change,
-             Quad* result_change, double* size) {
-  const float *a = &after->x, *b = &before->x;
-  float *f = &residual->x, *g = &result->x, *df = &residual_change->x, *dg = &result_change->x;
-  *size = 0;
-  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
-    Sum<N> sum;
-    rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
-              [&](size_t i, int part) [[gnu::always_inline]] {
-                const Floats<N> now = load<N>(a + i), moved = now - load<N>(b + i);
-                store<N>(moved - load<N>(f + i), df + i);
-                store<N>(now - load<N>(g + i), dg + i);
-                store<N>(moved, f + i);
-                store<N>(now, g + i);
-                sum.part[part] += moved * moved;
-              });
-    *size += sum.total();
-  }
-}
-
-template <int N>
-void products(const Quad* first, const Quad* const* others, int count, size_t n, double* out) {
-  for (int p = 0; p < count; ++p) out[p] = 0;
-  const float* a = &first->x;
-  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
-    for (int p = 0; p < count; ++p) {
-      const float* b = &others[p]->x;
-      Sum<N> sum;
-      rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
-                [&](size_t i, int part) [[gnu::always_inline]] { sum.part[part] += load<N>(a + i) * load<N>(b + i); });
-      out[p] += sum.total();
-    }
-  }
-}
-
-template <int N>
-void combine(const Quad* const* others, const float* scale, int count, size_t n, Quad* to) {
-  float* a = &to->x;
-  for (size_t begin = 0; begin < 4 * n; begin += floats_together) {
-    for (int p = 0; p < count; ++p) {
-      const float* b = &others[p]->x;
-      const Floats<N> by = broadcast<N>(scale[p]);
-      rounds<N>(begin, 4 * n < begin + floats_together ? 4 * n : begin + floats_together,
-                [&](size_t i, int) [[gnu::always_inline]] { store<N>(load<N>(a + i) + by * load<N>(b + i), a + i); });
-    }
-  }
+constexpr Kernels kernels_of(const char* name) {
+  return {name, relax_nodes<N>, update_secant_moduli<N>, line_derivative<N>, flow<N>, energy<N>, anderson_kernels_of<N>()};
 }
 
 }  // namespace

@@ -20,7 +20,7 @@ constexpr Range ranges[] = {
     {"substeps", 1, 64, "", false, true, of_car<&Parameters::substeps>},
     {"young_modulus", 1e4f, 1e10f, " Pa", true, false, of_region<&Material::young_modulus>},
     {"poisson_ratio", 0, 0.45f, "", true, false, of_region<&Material::poisson_ratio>},
-    {"yield", 0, 1, "", true, false, of_region<&Material::yield>},
+    {"yield", 0, 1, "", true, false, of_region<&Material::yield_strain>},
     {"hardening", 0, 1, "", true, false, of_region<&Material::hardening>},
     {"plastic_limit", 0, 3, "", true, false, of_region<&Material::plastic_limit>},
     {"viscosity", 0, 1e9f, " N s/m^4", true, false, of_region<&Material::viscosity>},

@@ -21,7 +21,7 @@ struct Material {
   // Elastic, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
   float poisson_ratio = 0.0f;
   // Elastic strain at which flow begins, [0, 1].
-  float yield = 0.009f;
+  float yield_strain = 0.009f;
   // Slope of yield stress over accumulated plastic strain, as a share of young_modulus, [0, 1].
   float hardening = 0.045f;
   // Norm of the plastic logarithmic strain that no tet exceeds, [0, 3]. 1.2: crushed to 30 % of its length.

@@ -2,16 +2,13 @@
 // Frame: X forward, Y left, Z up, metres. Everything the tick needs is indexed by node, tet, edge or vertex.
 #pragma once
 
-#include <Eigen/Core>
 #include <cstdint>
 #include <span>
 
 #include "sim/blocks.h"
+#include "sim/math.h"
 
 namespace crumple {
-
-using Vec3 = Eigen::Vector3f;
-using Mat3 = Eigen::Matrix3f;
 
 struct Tet {
   uint32_t node[4];

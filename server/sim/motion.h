@@ -1,7 +1,7 @@
 // The car as a rigid body: what contacts slow down inside the tick.
 #pragma once
 
-#include "sim/obstacle.h"
+#include "sim/math.h"
 
 namespace crumple {
 
@@ -18,7 +18,10 @@ struct Mass {
   bool planar = true;  // on its wheels: impulses change the velocity in x and y and the yaw rate only
 };
 
-// The pose after `seconds` of steady motion about the centre of mass.
+// Where something that moves steadily (m/s, rad/s, world) stands after `seconds`.
+Pose advance(const Pose&, const Eigen::Vector3d& velocity, const Eigen::Vector3d& angular_velocity, double seconds);
+
+// The car's pose after `seconds` of steady motion about its centre of mass.
 Pose advance(const Motion&, const Mass&, double seconds);
 
 // Changes the velocities by an impulse (N s) and an angular impulse about the centre of mass (N m s), both in world axes.

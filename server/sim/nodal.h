@@ -5,7 +5,14 @@
 // by 0 < omega < 2 it still never rises, inverted tets included.
 #pragma once
 
-#include "sim/scratch.h"
+#include <cstdint>
+#include <vector>
+
+#include "sim/anderson.h"
+#include "sim/contacts.h"
+#include "sim/kernels.h"
+#include "sim/step.h"
+#include "sim/team.h"
 
 namespace crumple {
 
@@ -15,8 +22,6 @@ inline constexpr float anchor_ratio = 30.0f;
 // All those springs together are no stiffer than this share of (car's mass) / h^2: the rigid motion is stepped explicitly.
 inline constexpr float anchor_share = 0.25f;
 
-// m/s: a node that is slower is at rest, and its block is not solved; nor is a body all of whose nodes are.
-inline constexpr float settle_speed = 2e-3f;
 // m: a tet less high than this does not flow. Positions in single precision, a metre or two from the origin, are known to
 // 0.1 um; its strain would be noise of a hundredth of the yield strain and more.
 inline constexpr float thinnest = 1e-3f;
@@ -26,14 +31,34 @@ inline constexpr double lost_share = 0.002;
 // Beside Parameters::tolerance: of the nodes' way in the sub-step the last two sweeps make up no more than this share. Else a
 // push so slow that its whole way is within the tolerance would not be solved at all, and its force be several times too high.
 inline constexpr double small_share = 0.05;
-// Sweeps that together are one step of the mixing, with moduli renewed before it.
+// Sweeps that together are one step: moduli are renewed before it, and after it Anderson's acceleration sets in (anderson.h).
 inline constexpr int sweeps_a_step = 2;
 
-// Of Scratch::node and a body's history: n + 1, padded to whole rounds of 16 floats.
-inline size_t quads_of_nodes(size_t n) { return (n + 4) / 4 * 4; }
+// What one sweep over the whole car visits, tets: whole groups of them.
+uint64_t sweep_work(const Model&);
+
+// The solver's memory of one tick, as its kernels want it (kernels.h), with what speeds it up.
+struct NodalSolver {
+  std::vector<Float4> node, before, rest, direction;  // padded_nodes(n)
+  std::vector<Float4> step_start;                     // nodes before the step
+  std::vector<Float4> stiffness;                      // t, padded to whole groups, + 1
+  std::vector<TetLanes> tets;                         // per group of tets
+  std::vector<Weights> weights;                       // per row
+  std::vector<uint8_t> region;                        // t, padded to whole groups
+  std::vector<Law> law;                               // per region
+  std::vector<uint16_t> flowing;                      // per group of tets: which are beyond yield
+  std::vector<uint16_t> still;                        // per block
+  std::vector<uint16_t> touched;                      // per block
+  std::vector<uint8_t> awake;                         // per block: 0 at rest, 1 solved, 2 solved and has moved
+  std::vector<uint8_t> stirred;                       // per group: one of its blocks is awake
+  std::vector<Held> held;                             // per contact
+  double volume = 0;                                  // of all tets at rest, m^3
+  Anderson anderson;
+  Team team;
+};
 
 // Before the first sub-step of a tick: the car's state as the kernels want it.
-void prepare_nodal(const Model&, const Parameters&, const Body&, Scratch&);
+void prepare_nodal(const Model&, const Parameters&, const Body&, NodalSolver&);
 
 struct Effort {
   uint32_t sweeps = 0;
@@ -41,14 +66,14 @@ struct Effort {
   float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
 };
 
-// Solves one sub-step of h seconds. In: body as the last sub-step left it, scratch.contacts, contact_first.
-// Out: body.node, and what held each contact in scratch.held. share: h over the last sub-step's. mass: the car's, kg.
-Effort solve_nodal(const Model&, const Parameters&, double mass, float h, float share, Scratch&, Body&);
+// Solves one sub-step of h seconds. In: body as the last sub-step left it, the contacts and their index. Out: body.node, and in
+// `held` what each contact did. share: h over the last sub-step's.
+Effort solve_nodal(const StepInput&, const ContactSet&, float h, float share, NodalSolver&, Body&);
 
 // After it: plastic flow of the tets that are beyond yield, and the drag that the nodes took: J.
-double flow_nodal(const Model&, Scratch&, Body&);
+double flow_nodal(const Model&, NodalSolver&, Body&);
 
 // Elastic energy of the tets and of the springs that hold the cell, J.
-double stored_nodal(const Model&, Scratch&, const Body&);
+double stored_nodal(const Model&, const ContactSet&, NodalSolver&, const Body&);
 
 }  // namespace crumple

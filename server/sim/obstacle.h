@@ -3,22 +3,16 @@
 // point from the obstacle?
 #pragma once
 
-#include <Eigen/Geometry>
 #include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
-#include "sim/model.h"
+#include "sim/math.h"
 
 namespace crumple {
 
 inline constexpr int hull_point_limit = 32;  // the faces of a hull are found by trying every three points
-
-struct Pose {
-  Eigen::Vector3d position = Eigen::Vector3d::Zero();               // m
-  Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();  // unit
-};
 
 // normal . x <= offset is solid; the unit normal points out.
 struct Plane {
@@ -52,8 +46,5 @@ void make_half_space(Obstacle&);  // solid at local z <= 0
 // The plane that touches the obstacle and is farthest below the point: where the point is outside it separates the two,
 // where it is inside it is the nearest way out. Local frame; signed distance = normal . point - offset.
 Plane separating_plane(const Obstacle&, const Vec3& point);
-
-// Where a body that moves steadily stands after `seconds`.
-Pose advance(const Pose&, const Eigen::Vector3d& velocity, const Eigen::Vector3d& angular_velocity, double seconds);
 
 }  // namespace crumple

@@ -1,5 +1,4 @@
-#include "sim/deform.h"
-#include "sim/transfer.h"
+#include "sim/skin.h"
 
 namespace crumple {
 namespace {

@@ -8,7 +8,7 @@
 namespace crumple {
 namespace {
 
-constexpr int most_helpers = 7, most_delays = 2, ticks_alone = 60;
+constexpr int most_helpers = 7, most_delays = 2, gathers_alone = 60;
 
 // Waits for the others: most pieces end within a microsecond or two; who waits longer waits for a thread that is not running.
 class Wait {
@@ -54,7 +54,7 @@ void Team::share(uint64_t pieces) {
   Wait wait;
   while (done_.load(std::memory_order_acquire) < pieces) wait.once();
   if (wait.long_one() && ++delays_ == most_delays) {
-    alone_ = ticks_alone;
+    alone_ = gathers_alone;
     open_.store(false, std::memory_order_release);
   }
 }

@@ -1,12 +1,14 @@
 // Threads that happen to be free help one car through its colours. A phase is a few microseconds long, too short to wake
-// anybody for it: helpers come once a tick and watch for phases; the caller goes ahead whether any came or not. Who does a
-// piece changes nothing in its result.
+// anybody for it: helpers come once a car and tick and watch for phases; the caller goes ahead whether any came or not. Who
+// does a piece changes nothing in its result.
 #pragma once
 
 #include <tbb/task_group.h>
 
+#include <array>
 #include <atomic>
 #include <cstdint>
+#include <vector>
 
 namespace crumple {
 
@@ -14,7 +16,7 @@ class Team {
  public:
   // Asks for helpers from the caller's TBB arena; none come where others have work of their own. On a machine with more to do
   // than processors a helper that is put aside in the middle of a piece holds everybody up: after two such delays the caller
-  // goes on alone, for a second of ticks.
+  // goes on alone, for this car and the next 59 that it gathers for.
   void gather();
   void leave();
   ~Team() { leave(); }
@@ -32,6 +34,21 @@ class Team {
     context_ = &work;
     work_ = [](const void* context, uint32_t begin, uint32_t end) { (*static_cast<const Work*>(context))(begin, end); };
     share((last - first + piece - 1) / piece);
+  }
+
+  // The same for work(begin, end, sums), which adds to `Count` numbers. The numbers of the pieces are added in the order of the
+  // pieces, whoever did them.
+  template <size_t Count, class Work>
+  std::array<double, Count> sum(uint32_t last, uint32_t piece, const Work& work) {
+    sums_.assign(Count * ((last + piece - 1) / piece), 0.0);
+    run(0, last, piece, [&](uint32_t begin, uint32_t end) {
+      for (; begin < end; begin += piece) {  // without helpers the whole range comes at once
+        work(begin, end - begin < piece ? end : begin + piece, &sums_[Count * (begin / piece)]);
+      }
+    });
+    std::array<double, Count> total = {};
+    for (size_t i = 0; i < sums_.size(); ++i) total[i % Count] += sums_[i];
+    return total;
   }
 
  private:
@@ -53,8 +70,9 @@ class Team {
   alignas(64) std::atomic<bool> open_{false};
   uint64_t phase_ = 0;
   bool gathered_ = false;
-  int delays_ = 0;  // in this tick
-  int alone_ = 0;   // ticks to go on without helpers, since they kept the caller waiting
+  int delays_ = 0;  // since gather()
+  int alone_ = 0;   // calls of gather() that bring no helpers, since they kept the caller waiting
+  std::vector<double> sums_;
   tbb::task_group helpers_;
 };
 

@@ -50,11 +50,9 @@ Body transfer(const Model& from, const Model& to, const LevelMap& map, const Bod
     const Matrix flowed = rest * plastic;
     for (int k = 0; k < 3; ++k) out.gradients[t].corner[k] = flowed.row(k).transpose().cast<float>();
   }
-  out.absorbed = body.absorbed;
-  out.stored = body.stored;
-  out.owed = body.owed;
-  out.lost = body.lost;
-  out.settled = body.settled;
+  for_each_field([&](const auto& field) {
+    if (field.traits.transferred) out.*field.value = body.*field.value;
+  });
   measure_reach(to, out);
   return out;
 }

@@ -16,7 +16,4 @@ struct LevelMap {
 // `classic` keeps no dents through it: its rest values are as baked again.
 Body transfer(const Model& from, const Model& to, const LevelMap&, const Body&);
 
-// Displacements (m) that the body's mesh `from` gives to these nodes of the other. out: as many as nodes.
-void displace(const Model& from, const LevelMap&, const Body&, std::span<const uint32_t> nodes, std::span<Vec3> out);
-
 }  // namespace crumple

@@ -7,7 +7,7 @@
 namespace crumple {
 
 // A node as the kernels load it: a position, m, and one number that goes with it.
-struct alignas(16) Quad {
+struct alignas(16) Float4 {
   float x, y, z, w;
 };
 
@@ -114,14 +114,14 @@ CRUMPLE_INLINE Vec3s<N> cross(const Vec3s<N>& a, const Vec3s<N>& b) {
 }
 
 template <int N>
-struct Quads {
+struct Float4s {
   Floats<N> x, y, z, w;
   CRUMPLE_INLINE Vec3s<N> xyz() const { return {x, y, z}; }
 };
 
 // N records from anywhere, transposed: whole 16-byte loads beat gathers of single floats.
 template <int N>
-CRUMPLE_INLINE Quads<N> gather(const Quad* from, const uint32_t* index) {
+CRUMPLE_INLINE Float4s<N> gather(const Float4* from, const uint32_t* index) {
   Floats<N> row[4];  // row[r] holds records r, 4 + r, 8 + r, ...
   for (int r = 0; r < 4; ++r) {
     if constexpr (N == 4) {
@@ -162,7 +162,7 @@ CRUMPLE_INLINE Quads<N> gather(const Quad* from, const uint32_t* index) {
 
 // N records of three numbers and a zero, back to where they came from; lanes whose bit is set in `skip` stay.
 template <int N>
-CRUMPLE_INLINE void scatter(const Vec3s<N>& v, Quad* to, const uint32_t* index, unsigned skip) {
+CRUMPLE_INLINE void scatter(const Vec3s<N>& v, Float4* to, const uint32_t* index, unsigned skip) {
   Floats<N> row[4];
   const Floats<N> w{};
   if constexpr (N == 4) {

@@ -1,6 +1,6 @@
 // The time budget of a tick: so many tet visits, and no more. In: what each car's last tick took and left undone, and the
 // importance that its host gives it. Out: how many sub-steps, and how many sweeps in each, every car may make in this one.
-// Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the mixing (two of
+// Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the solver (two of
 // them) at a time, and then half of the sub-steps where the mesh is too coarse to show them. Law: under the budget every car
 // makes what it likes.
 #include "tick/budget.h"
@@ -18,11 +18,11 @@ namespace {
 // What a sub-step, and a tick, take beside the sweeps: in sweeps over all tets.
 constexpr double substep_costs = 3, tick_costs = 5;
 
-// Sweeps that a sub-step is left at least; the second step is the first that can be mixed. At 50 km/h, 4,642 nodes end with 4
-// sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 % (bench/page.md).
-// A longer sub-step needs more of them: 1,071 nodes end in a wall with 2 sub-steps of 6 sweeps 13 % off, of 8 sweeps 2.4 %,
-// which is what 4 sub-steps of 4 are. Where a wave has crossed the mesh by then it does not: 335 nodes are 3.2 % off with 4
-// sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, of 8 sweeps 6.1 (bench/scene.cpp).
+// Sweeps that a sub-step is left at least; the second step is the first that can be accelerated. At 50 km/h, 4,642 nodes end
+// with 4 sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 %
+// (bench/page.md). A longer sub-step needs more of them: 1,071 nodes end in a wall with 2 sub-steps of 6 sweeps 13 % off, of 8
+// sweeps 2.4 %, which is what 4 sub-steps of 4 are. Where a wave has crossed the mesh by then it does not: 335 nodes are 3.2 %
+// off with 4 sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, of 8 sweeps 6.1 (bench/scene.cpp).
 constexpr int step = sweeps_a_step, fewest = 2 * step, fewest_of_halved = 4 * step;
 constexpr size_t few_nodes = 500;
 constexpr double longest_way = 0.8;  // of a sub-step, against an obstacle, in edges of the mesh
@@ -79,7 +79,7 @@ Share ask(const World& world, Instance& car, size_t order, double worst, double&
   const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
   const double halved =
       last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
-  const double all = double(lanes * car.car->blocks.group.size());  // a sweep visits them by the vector
+  const double all = double(sweep_work(car.car->model));
   Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), all, tets};
   if (last.sweeps == 0) {
     share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;

@@ -3,6 +3,8 @@
 // only `sums` them up: then bodies, logs and surfaces are left to the hashes that their car keeps.
 #pragma once
 
+#include <array>
+#include <concepts>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -11,36 +13,49 @@
 
 namespace crumple {
 
-template <class File, class Number>
-requires std::is_arithmetic_v<Number> || std::is_enum_v<Number>
-void field(File& file, Number& value) { file.raw(&value, sizeof value); }
+// A T that is read into, or a const one that is written.
+template <class T, class Type>
+concept Is = std::same_as<std::remove_const_t<T>, Type>;
+template <class T>
+concept Numeric = (std::is_arithmetic_v<T> || std::is_enum_v<T>)&&!Is<T, bool>;
+template <class T>
+constexpr bool is_array = false;
+template <class T, size_t Size>
+constexpr bool is_array<std::array<T, Size>> = true;
+
 template <class File>
-void field(File& file, bool& value) {
+void field(File& file, Numeric auto& value) {
+  file.raw(&value, sizeof value);
+}
+template <class File>
+void field(File& file, Is<bool> auto& value) {
   uint8_t number = value;
   file.raw(&number, sizeof number);
   if constexpr (File::reads) value = number != 0;  // damage may be any number
 }
-template <class File, int Rows>
-void field(File& file, Eigen::Matrix<float, Rows, 1>& v) {
-  file.raw(v.data(), sizeof(float) * Rows);
-}
 template <class File>
-void field(File& file, Eigen::Vector3d& v) {
+void field(File& file, Is<Eigen::Vector3d> auto& v) {
   file.raw(v.data(), 3 * sizeof(double));
 }
 template <class File>
-void field(File& file, std::string& text) {
+void field(File& file, Is<std::string> auto& text) {
   file.resize(text);
   file.raw(text.data(), text.size());
 }
 // Of numbers without padding.
-template <class File, class Number>
-void field(File& file, std::vector<Number>& list) {
+template <class File, class List>
+requires Is<List, std::vector<typename List::value_type>>
+void field(File& file, List& list) {
   file.resize(list);
-  file.raw(static_cast<void*>(list.data()), list.size() * sizeof(Number));
+  file.raw(list.data(), list.size() * sizeof(typename List::value_type));
+}
+template <class File, class Array>
+requires is_array<std::remove_const_t<Array>>
+void field(File& file, Array& array) {
+  for (auto& each : array) field(file, each);
 }
 template <class File>
-void field(File& file, std::optional<uint64_t>& value) {
+void field(File& file, Is<std::optional<uint64_t>> auto& value) {
   uint8_t there = value.has_value();
   field(file, there);
   if constexpr (File::reads) value = there ? std::optional<uint64_t>(0) : std::nullopt;
@@ -50,61 +65,55 @@ template <class File, class... Fields>
 requires(sizeof...(Fields) > 1) void field(File& file, Fields&... each) { (field(file, each), ...); }
 
 template <class File>
-void field(File& file, Pose& pose) {
+void field(File& file, Is<Pose> auto& pose) {
   field(file, pose.position);
   file.raw(pose.orientation.coeffs().data(), 4 * sizeof(double));
 }
 template <class File>
-void field(File& file, Motion& motion) {
+void field(File& file, Is<Motion> auto& motion) {
   field(file, motion.pose, motion.velocity, motion.angular_velocity);
 }
 template <class File>
-void field(File& file, Parameters& parameters) {
+void field(File& file, Is<Parameters> auto& parameters) {
   static_assert(sizeof(Material) == 9 * sizeof(float));
   field(file, parameters.solver, parameters.iterations, parameters.tolerance, parameters.substeps);
   file.raw(parameters.region.data(), sizeof parameters.region);
 }
 template <class File>
-void field(File& file, History& history) {
-  field(file, history.count, history.next);
-  for (auto& list : history.residual) field(file, list);
-  for (auto& list : history.result) field(file, list);
-  file.raw(history.products.data(), sizeof history.products);
+void field(File& file, Is<AndersonHistory> auto& history) {
+  each_field(history, [&](auto& each) { field(file, each); });
 }
 template <class File>
-void field(File& file, Body& body) {
-  field(file, body.node, body.step, body.step_seconds, body.gradients, body.hardening, body.edge_rest, body.tet_rest);
-  field(file, body.history);
-  field(file, body.absorbed, body.stored, body.owed, body.force, body.moment);
-  field(file, body.touching, body.drift, body.lost, body.settled);
+void field(File& file, Is<Body> auto& body) {
+  for_each_field([&](const auto& each) { field(file, body.*each.value); });
 }
 template <class File>
-void field(File& file, ViewerState& told) {
+void field(File& file, Is<ViewerState> auto& told) {
   if constexpr (!File::sums) field(file, told.keyframe, told.latest);
   field(file, told.tick, told.keyframe_tick, told.due, told.flowing);
 }
 template <class File>
-void field(File& file, Obstacle& obstacle) {
+void field(File& file, Is<Obstacle> auto& obstacle) {
   field(file, obstacle.faces, obstacle.half_length, obstacle.radius, obstacle.reach, obstacle.width, obstacle.friction);
   field(file, obstacle.pose, obstacle.velocity, obstacle.angular_velocity);
 }
 
 // Without levels and body.
 template <class File>
-void field(File& file, Instance& car) {
+void field(File& file, Is<Instance> auto& car) {
   field(file, car.level_tick, car.importance, car.host, car.mass.mass, car.mass.inertia, car.mass.center, car.mass.planar);
   field(file, car.parameters, car.motion);
   if constexpr (!File::sums)
-    for (ImpulseLog::Change& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
+    for (auto& change : car.log.changes) field(file, change.tick, change.velocity, change.angular_velocity);
   field(file, car.touched_tick, car.sweeps, car.substeps, car.fresh);
   if constexpr (File::sums) file.raw(&car.hashes, sizeof car.hashes);
-  for (ViewerState& told : car.told) field(file, told);
+  for (auto& told : car.told) field(file, told);
   field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
 }
 
 // tick, budget, hosts and obstacles.
 template <class File>
-void field(File& file, World& world) {
+void field(File& file, Is<World> auto& world) {
   field(file, world.tick, world.budget);
   uint64_t hosts = world.hosts.size();
   field(file, hosts);
@@ -114,7 +123,7 @@ void field(File& file, World& world) {
     if constexpr (!File::reads) id = at->first;
     field(file, id);
     if constexpr (File::reads) at = world.hosts.try_emplace(id).first;
-    Host& host = at->second;
+    auto& host = at->second;
     field(file, host.poses_sequence, host.obstacles_sequence, host.cars, host.obstacles);
     ++at;
   }

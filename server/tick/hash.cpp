@@ -52,18 +52,15 @@ class Sum {
 
 }  // namespace
 
-uint64_t hash(const World& of) {
-  World& world = const_cast<World&>(of);  // the list of fields serves who reads into it too; a sum only looks
+uint64_t hash(const World& world) {
   Sum sum;
   field(sum, world.rate, world.quantum);
   field(sum, world);
   for (const Levels& levels : world.given) {
-    std::string given = levels.front()->hash;
-    field(sum, given);
+    field(sum, levels.front()->hash);
   }
-  for (auto& [id, car] : world.cars) {
-    std::string name = id, shown = car.levels->front()->hash, level = car.car->hash;
-    field(sum, name, shown, level);
+  for (const auto& [id, car] : world.cars) {
+    field(sum, id, car.levels->front()->hash, car.car->hash);
     field(sum, car);
   }
   return sum.value();

@@ -75,7 +75,7 @@ void look_ahead(const World& world, Instance& car, bool woken) {
   car.ahead = Ahead::nothing;
   const bool held = car.body.touching && !car.body.settled;
   if (held || (world.budget == 0 && car.levels->size() == 1)) return;
-  const Encounter met = encounter(car.car->model, car.body, car.motion, car.mass, world.obstacles, notice);
+  const Encounter met = encounter({car.car->model, car.parameters, car.mass, world.obstacles, notice}, car.body, car.motion);
   car.width = met.width;
   if (woken || met.hit) {
     car.ahead = Ahead::hit;

@@ -9,7 +9,6 @@
 #include <cstring>
 #include <stdexcept>
 
-#include "sim/nodal.h"
 #include "tick/fields.h"
 #include "tick/given.h"
 #include "wire/check.h"
@@ -17,7 +16,7 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 4;                       // to be counted up with every change of a field
+constexpr uint32_t format = 5;                       // to be counted up with every change of a field
 constexpr uint64_t latest_tick = uint64_t{1} << 53;  // whole in a double
 
 [[noreturn]] void refuse(const std::string& fact) { throw std::runtime_error("the snapshot of the world is damaged: " + fact); }
@@ -31,7 +30,7 @@ class Writer {
     bytes.insert(bytes.end(), begin, begin + size);
   }
   template <class List>
-  void resize(List& list) {
+  void resize(const List& list) {
     const uint64_t size = list.size();
     raw(&size, sizeof size);
   }
@@ -75,33 +74,6 @@ void check_id(const std::string& id) {
   if (checker.refusal) refuse(checker.refusal->sentence);
 }
 
-// Changes of so many steps, each of all nodes, the oldest of which is overwritten next.
-bool is_sound(const History& history, size_t nodes) {
-  const int count = history.count, next = history.next;
-  bool good = count >= 0 && count <= mixing_depth && next >= 0 && next < mixing_depth;
-  good = good && (count == mixing_depth || next == count);
-  for (size_t k = 0; good && k < size_t(count); ++k)
-    good = history.residual[k].size() == quads_of_nodes(nodes) && history.result[k].size() == quads_of_nodes(nodes);
-  return good;
-}
-
-template <class T>
-bool finite(const std::vector<T>& list, size_t size) {
-  const auto* numbers = reinterpret_cast<const float*>(list.data());
-  const size_t count = list.size() * (sizeof(T) / sizeof(float));
-  return list.size() == size && std::all_of(numbers, numbers + count, [](float number) { return std::isfinite(number); });
-}
-
-// Unlike refuse_state it takes any shape: a body that was thrown apart is a part of the world too.
-void check(const Model& model, const Body& body) {
-  const size_t nodes = model.node.size(), tets = model.tet.size();
-  bool good = finite(body.node, nodes) && finite(body.step, nodes) && is_sound(body.history, nodes);
-  good = good && finite(body.gradients, tets) && finite(body.hardening, tets) && finite(body.tet_rest, tets);
-  good = good && finite(body.edge_rest, model.edge.size()) && finite(body.force) && finite(body.moment);
-  good = good && not_negative(body.step_seconds, body.owed, body.drift);
-  if (!good || !std::isfinite(body.absorbed) || !std::isfinite(body.stored)) refuse("a body does not fit its car");
-}
-
 void check(const World& world, const Instance& car) {
   if (!world.hosts.contains(car.host)) refuse("a car is of host " + car.host + ", which it does not have");
   if (car.parameters.solver > Solver::classic) refuse("a car has neither of the two solvers");
@@ -130,7 +102,8 @@ void check(const World& world) {
   for (const auto& [id, car] : world.cars) {
     check_id(id);
     check(world, car);
-    check(car.car->model, car.body);
+    // Unlike in a State any shape may be: a body that was thrown apart is a part of the world too.
+    if (refuse_fields(car.car->model, car.body, false)) refuse("a body does not fit its car");
     ++cars[car.host];
   }
   for (const auto& [id, host] : world.hosts) {
@@ -159,13 +132,13 @@ const Levels& levels_of(const World& world, const std::string& asset) {
 // hash of a body as baked, by asset.
 using Pristine = std::map<std::string, uint64_t>;
 
-void save(Writer& file, const std::string& id, Instance& car, Pristine& pristine) {
-  std::string name = id, shown = car.levels->front()->hash, level = car.car->hash;
-  field(file, name, shown, level);
+void save(Writer& file, const std::string& id, const Instance& car, Pristine& pristine) {
+  const std::string& level = car.car->hash;
+  field(file, id, car.levels->front()->hash, level);
   field(file, car);
   auto found = pristine.find(level);
   if (found == pristine.end()) found = pristine.emplace(level, hash(make_body(car.car->model))).first;
-  bool damaged = car.hashes.body != found->second;
+  const bool damaged = car.hashes.body != found->second;
   field(file, damaged);
   if (damaged) field(file, car.body);
 }
@@ -211,26 +184,24 @@ uint64_t sum_of(std::span<const std::byte> bytes) { return XXH64(bytes.data(), b
 
 }  // namespace
 
-std::vector<std::byte> save_world(const World& of) {
-  World& world = const_cast<World&>(of);  // the list of fields serves both directions; this one only reads
+std::vector<std::byte> save_world(const World& world) {
   Writer file;
-  uint32_t version = format;
-  uint64_t cars = world.cars.size(), sum = 0;  // of all behind it
-  field(file, version, world.rate, world.quantum, sum);
+  uint64_t sum = 0;  // of all behind it
+  field(file, format, world.rate, world.quantum, sum);
   const size_t begin = file.bytes.size();
-  std::vector<std::string> assets = assets_of(world);
+  const std::vector<std::string> assets = assets_of(world);
   file.resize(assets);
-  for (std::string& asset : assets) field(file, asset);
-  uint64_t given = world.given.size();
+  for (const std::string& asset : assets) field(file, asset);
+  const uint64_t given = world.given.size(), cars = world.cars.size();
   field(file, given);
   for (const Levels& levels : world.given) {
-    std::vector<std::byte> bytes(levels.front()->bytes.begin(), levels.front()->bytes.end());
+    const std::vector<std::byte> bytes(levels.front()->bytes.begin(), levels.front()->bytes.end());
     field(file, bytes);
   }
   field(file, world);
   field(file, cars);
   Pristine pristine;
-  for (auto& [id, car] : world.cars) save(file, id, car, pristine);
+  for (const auto& [id, car] : world.cars) save(file, id, car, pristine);
   sum = sum_of(std::span(file.bytes).subspan(begin));
   std::memcpy(&file.bytes[begin - sizeof sum], &sum, sizeof sum);
   return std::move(file.bytes);

@@ -8,6 +8,7 @@
 #include <tuple>
 #include <utility>
 
+#include "sim/skin.h"
 #include "tick/budget.h"
 #include "tick/health.h"
 #include "tick/inbox.h"
@@ -60,7 +61,7 @@ void move(const World& world, Instance& car, Worker& worker) {
   Parameters parameters = car.parameters;
   parameters.iterations = car.sweeps;
   parameters.substeps = car.substeps;
-  car.response = deform(car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body,
+  car.response = deform({car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body,
                         car.motion, world.clock ? &timer : nullptr);
   const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
                                   car.motion.angular_velocity - before.angular_velocity};
@@ -113,7 +114,7 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
   car.changed = false;
   const bool woken =
       world.budget > 0 && car.body.settled &&
-      wakes(car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate, *worker.scratch, car.body, car.motion);
+      wakes({car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body, car.motion);
   look_ahead(world, car, woken);
   if (!car.body.settled && car.response.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
@@ -192,7 +193,7 @@ uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
   Obstacle wall;
   make_box({1, 10, 10}, wall);
   wall.pose.position.x() = double(nose) + 1;
-  return uint64_t(work_of(car.model, deform(car.model, {}, {}, {&wall, 1}, seconds, *worker.scratch, body, motion)));
+  return uint64_t(work_of(car.model, deform({car.model, {}, {}, {&wall, 1}, seconds}, *worker.scratch, body, motion)));
 }
 
 void advance_cars(World& world, int threads) {

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "wire/check.h"
+#include "wire/state_fields.h"
 
 namespace crumple {
 namespace {
@@ -135,7 +136,7 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   };
   take("young_modulus", from.young_modulus(), &Material::young_modulus);
   take("poisson_ratio", from.poisson_ratio(), &Material::poisson_ratio);
-  take("yield", from.yield(), &Material::yield);
+  take("yield", from.yield(), &Material::yield_strain);
   take("hardening", from.hardening(), &Material::hardening);
   take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
   take("viscosity", from.viscosity(), &Material::viscosity);
@@ -143,6 +144,19 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   take("volume_stiffness", from.volume_stiffness(), &Material::volume_stiffness);
   take("plasticity", from.plasticity(), &Material::plasticity);
   return order;
+}
+
+void take(const flatbuffers::Vector<const schema::Vec3*>* from, std::vector<Vec3>& list) {
+  for (const schema::Vec3* each : *from) list.emplace_back(each->x(), each->y(), each->z());
+}
+void take(const flatbuffers::Vector<float>* from, std::vector<Gradients>& list) {
+  list.resize(from->size() / 9);
+  for (uint32_t k = 0; k < 9 * list.size(); ++k) list[k / 9].corner[k % 9 / 3][k % 3] = from->Get(k);
+}
+void take(const flatbuffers::Vector<float>* from, std::vector<float>& list) { list.assign(from->begin(), from->end()); }
+template <class Value>
+void take(Value from, Value& value) {
+  value = from;
 }
 
 LoadOrder read(const schema::Load& from, Checker& check) {
@@ -157,21 +171,9 @@ LoadOrder read(const schema::Load& from, Checker& check) {
     return order;
   }
   Body& body = order.state;
-  for (const schema::Vec3* node : *state->node()) body.node.emplace_back(node->x(), node->y(), node->z());
-  const auto& numbers = *state->gradients();
-  body.gradients.resize(numbers.size() / 9);
-  for (uint32_t t = 0; t < body.gradients.size(); ++t) {
-    for (uint32_t k = 0; k < 3; ++k) {
-      const uint32_t at = 9 * t + 3 * k;
-      body.gradients[t].corner[k] = Vec3(numbers.Get(at), numbers.Get(at + 1), numbers.Get(at + 2));
-    }
-  }
-  body.hardening.assign(state->hardening()->begin(), state->hardening()->end());
-  body.edge_rest.assign(state->edge_rest()->begin(), state->edge_rest()->end());
-  body.tet_rest.assign(state->tet_rest()->begin(), state->tet_rest()->end());
-  body.absorbed = check.energy({"load.state"}, "absorbed", state->absorbed());
-  body.stored = check.energy({"load.state"}, "stored", state->stored());
-  body.settled = state->settled();
+  for_each_saved_field([&](auto field, auto get, auto) { take((state->*get)(), body.*field); });
+  body.absorbed = check.energy({"load.state"}, "absorbed", body.absorbed);
+  body.stored = check.energy({"load.state"}, "stored", body.stored);
   return order;
 }
 

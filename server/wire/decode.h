@@ -16,6 +16,7 @@
 #include "sim/body.h"
 #include "sim/material.h"
 #include "sim/motion.h"
+#include "sim/obstacle.h"
 #include "wire/refusal.h"
 
 namespace crumple {

@@ -1,5 +1,7 @@
 #include "wire/encode.h"
 
+#include "wire/state_fields.h"
+
 namespace crumple {
 namespace {
 
@@ -16,6 +18,23 @@ std::vector<flatbuffers::Offset<schema::Count>> encode_counts(flatbuffers::FlatB
   for (const auto& count : counts)
     out.push_back(schema::CreateCountDirect(builder, count.name.c_str(), count.value, count.limit));
   return out;
+}
+
+using Builder = flatbuffers::FlatBufferBuilder;
+flatbuffers::uoffset_t write_list(Builder& builder, const std::vector<Vec3>& list) {
+  static_assert(sizeof(schema::Vec3) == sizeof(Vec3));
+  return builder.CreateVectorOfStructs(reinterpret_cast<const schema::Vec3*>(list.data()), list.size()).o;
+}
+flatbuffers::uoffset_t write_list(Builder& builder, const std::vector<Gradients>& list) {
+  static_assert(sizeof(Gradients) == 9 * sizeof(float));
+  return builder.CreateVector(reinterpret_cast<const float*>(list.data()), 9 * list.size()).o;
+}
+flatbuffers::uoffset_t write_list(Builder& builder, const std::vector<float>& list) { return builder.CreateVector(list).o; }
+
+template <class List>
+void add_list(schema::StateBuilder& state, void (schema::StateBuilder::*add)(flatbuffers::Offset<List>),
+              flatbuffers::uoffset_t list) {
+  (state.*add)(flatbuffers::Offset<List>(list));
 }
 
 }  // namespace
@@ -45,16 +64,23 @@ Bytes encode_answer(uint64_t tick, const Verdict& refusal, const Bytes& state) {
 }
 
 Bytes encode_state(const std::string& asset, const Body& body) {
-  static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(Gradients) == 9 * sizeof(float));
   flatbuffers::FlatBufferBuilder builder(body.node.size() * 12 + body.gradients.size() * 44 + body.edge_rest.size() * 4 + 256);
   const auto name = builder.CreateString(asset);
-  const auto node = builder.CreateVectorOfStructs(reinterpret_cast<const schema::Vec3*>(body.node.data()), body.node.size());
-  const auto gradients = builder.CreateVector(reinterpret_cast<const float*>(body.gradients.data()), 9 * body.gradients.size());
-  const auto hardening = builder.CreateVector(body.hardening);
-  const auto edge_rest = builder.CreateVector(body.edge_rest);
-  const auto tet_rest = builder.CreateVector(body.tet_rest);
-  return finish(builder, schema::CreateState(builder, name, node, gradients, hardening, edge_rest, tet_rest, body.absorbed,
-                                             body.stored, body.settled));
+  std::vector<flatbuffers::uoffset_t> lists;
+  for_each_saved_field([&](auto field, auto, auto) {
+    if constexpr (requires { (body.*field).data(); }) lists.push_back(write_list(builder, body.*field));
+  });
+  schema::StateBuilder state(builder);
+  state.add_asset(name);
+  size_t next = 0;
+  for_each_saved_field([&](auto field, auto, auto add) {
+    if constexpr (requires { (body.*field).data(); }) {
+      add_list(state, add, lists[next++]);
+    } else {
+      (state.*add)(body.*field);
+    }
+  });
+  return finish(builder, state.Finish());
 }
 
 Bytes encode_tick_end(const TickEnd& end) {

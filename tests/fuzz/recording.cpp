@@ -168,8 +168,8 @@ void record(const std::string& path, bool begun) {
     for (const Message& message : inbox) recording.input(number, message, time);
     tick(*world, inbox, outbox, 1);
     for (const Message& message : outbox) recording.output(number, message, time);
-    recording.output(number, health(*world, 0, {}), time);
     recording.end_tick(number, hash(*world), time);
+    recording.output(number, health(*world, 0, {}), time);  // as serve does
   }
 }
 

@@ -1,0 +1,41 @@
+#include "sim/substeps.h"
+
+namespace crumple {
+
+constexpr float shortest_substep = 0.01f;  // of a whole one, where the first is cut to the touch
+
+int choose_substeps(const StepInput& input, const ContactSet& contacts, const Body& body, const Motion& motion) {
+  double closing = 0;
+  for (const Candidates& near : contacts.candidate) {
+    const Obstacle& obstacle = input.obstacles[near.obstacle];
+    const double turning = motion.angular_velocity.norm() + obstacle.angular_velocity.norm();
+    closing = std::max(closing, (motion.velocity - obstacle.velocity).norm() + double(body.reach) * turning);
+  }
+  // A block of the car's size, squeezed: its stiffness is about one and a half times E times its length from the middle.
+  double modulus = 0;
+  for (const Material& material : input.parameters.region) modulus = std::max(modulus, double(material.young_modulus));
+  const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / input.mass.mass);
+  const int count = substep_count(input.parameters.substeps, input.seconds);
+  int times = 1;
+  for (int k = 0; k < halvings; ++k) {
+    const double h = input.seconds / (count * times) / coarseness(input.parameters);
+    if (closing * h > substep_travel || frequency * h > substep_turn) times *= 2;
+  }
+  return count * times;
+}
+
+Pose path(const Mass& mass, const Body& body, const Motion& motion, double h) {
+  Motion middle = motion;
+  push(0.5 * h * body.force, 0.5 * h * body.moment, mass, middle);
+  return advance(middle, mass, h);
+}
+
+float after_touch(std::span<const Contact> contacts) {
+  float earliest = 1;
+  for (const Contact& c : contacts) {
+    if (c.after < 0) earliest = std::min(earliest, c.before > 0 ? c.before / (c.before - c.after) : 0.0f);
+  }
+  return earliest < 1 ? std::max(shortest_substep, 1 - earliest) : 1;
+}
+
+}  // namespace crumple

@@ -1,0 +1,33 @@
+// The fields of the protocol's State, each beside the body's own: encode_state and the Load order walk this list.
+#pragma once
+
+#include "schema/message_generated.h"
+#include "sim/body.h"
+
+namespace crumple {
+
+// Calls visit(field of Body, State's accessor, StateBuilder's adder) for each.
+template <class Visit>
+constexpr void for_each_saved_field(const Visit& visit) {
+  using schema::State, schema::StateBuilder;
+  visit(&Body::node, &State::node, &StateBuilder::add_node);
+  visit(&Body::gradients, &State::gradients, &StateBuilder::add_gradients);
+  visit(&Body::hardening, &State::hardening, &StateBuilder::add_hardening);
+  visit(&Body::edge_rest, &State::edge_rest, &StateBuilder::add_edge_rest);
+  visit(&Body::tet_rest, &State::tet_rest, &StateBuilder::add_tet_rest);
+  visit(&Body::absorbed, &State::absorbed, &StateBuilder::add_absorbed);
+  visit(&Body::stored, &State::stored, &StateBuilder::add_stored);
+  visit(&Body::settled, &State::settled, &StateBuilder::add_settled);
+}
+
+// The body's own list says which they are.
+static_assert(
+    [] {
+      int marked = 0, here = 0;
+      for_each_field([&](const auto& field) { marked += field.traits.saved; });
+      for_each_saved_field([&](auto...) { ++here; });
+      return marked == here;
+    }(),
+    "a field of Body is marked `saved` and is not in for_each_saved_field, or the other way round");
+
+}  // namespace crumple
