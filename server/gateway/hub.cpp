@@ -86,12 +86,12 @@ void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span
   const std::string& id = *news.id;
   ShownCar& car = cars_.at(id);
   Bytes whole;
-  if (keyframe && news.outcome.applied == client::Applied::whole && surface.tick < car.tick) {
+  if (keyframe && news.outcome.applied == client::Applied::whole && surface.key_tick < car.key_tick) {
     // Another owner is behind the one before: browsers drop older ticks, but not those of another car.
     need(web_forget(web_, ("car/" + id + "/").c_str()));
     car = {++lives_};
     tell_alive();
-    whole = encode_keyframe({surface.tick, surface.asset, surface.quantum}, surface.key, surface_node_limit).front();
+    whole = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key, surface_node_limit).front();
     bytes = {reinterpret_cast<const uint8_t*>(whole.data()), whole.size()};
   }
   // Following has verified it.
@@ -99,7 +99,7 @@ void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span
                                   : flatbuffers::GetRoot<schema::Delta>(bytes.data())->first();
   if (car.parts.size() < parts_limit) car.parts.insert(first);
   if (!car.parts.contains(first)) return;
-  car.tick = surface.tick;
+  car.key_tick = surface.key_tick;
   set("car/" + id + (keyframe ? "/key/0" : "/delta/0") + (first > 0 ? "/" + std::to_string(first) : ""), bytes);
   if (!keyframe || !is_hash(surface.asset)) return;
   car.asset = surface.asset;

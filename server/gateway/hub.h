@@ -32,7 +32,7 @@ class Hub {
  private:
   struct ShownCar {
     uint64_t life = 0;              // so that browsers know it from the next of its id
-    uint64_t tick = 0;              // of the newest surface that was passed on
+    uint64_t key_tick = 0;          // of the last whole keyframe that was passed on
     std::string asset = {};         // of its surface
     std::set<uint32_t> parts = {};  // of the surface, by their first nodes: browsers keep the latest of each
     float peak = 0;                 // impulse of the last hit, N s: the greatest of a tick

@@ -1,4 +1,4 @@
-// For functions of io/transport.h that must not fail.
+// For functions of io that must not fail.
 #pragma once
 
 #include <stdexcept>
