@@ -53,25 +53,31 @@ def text_of(network):
 
 
 class Car:
-    """A probe taps its wall again and again, so that each tick tells of it. The others crash once a period, all in the same
-    tick, and go on to tap."""
+    """A probe taps its wall again and again, so that each tick tells of it; unheard, where it touched last: from its start a
+    dented nose may not reach. The others crash once a period, all in the same tick, and go on to tap."""
 
     def __init__(self, crumple, id, probe, asset, nose, lane):
         self.crumple, self.id, self.probe, self.asset, self.lane = crumple, id, probe, asset, lane
         self.start = WALL - nose - (0.05 if probe else 10.0)  # m
         self.x, self.speed, self.seen, self.hit = self.start, 0.0, 0, None
+        self.touched = self.start  # m
         self.wall = crumple.Obstacle(lane, crumple.Shape.box, (1.0, 3.0, 3.0), crumple.Pose((WALL + 1.0, LANE * lane, 0.0)))
 
     def take(self, reaction, now):
         self.seen = reaction.tick
         if reaction.contacts > 0:
-            self.x, self.hit = reaction.pose.position[0], now
+            self.x = self.touched = reaction.pose.position[0]
+            self.hit = now
+
+    def repaired(self):
+        if self.probe:
+            self.touched, self.hit = self.start, None
 
     def intent(self, step, calm, sequence):
         """The pose of this step; velocity in z: its number."""
         if self.probe:
             if self.hit is None or step - self.hit > RATE // 2:  # unheard, or its wall is gone
-                self.hit, self.x = step, self.start
+                self.hit, self.x = step, self.touched
             self.speed = -0.5 if step - self.hit < 6 else 0.5
         elif calm or step % PERIOD < WAIT:
             self.x, self.speed, self.hit = self.start, 0.0, None
@@ -132,8 +138,9 @@ class Host:
                         missing.pop(0)
                 elif time.monotonic() > mended + MENDED and not self.calm:
                     mended = time.monotonic()
-                    for car in self.cars:
-                        session.repair(car)
+                    for car in self.cars.values():
+                        session.repair(car.id)
+                        car.repaired()
             except self.crumple.Error:
                 pass  # no answer: once more
 
