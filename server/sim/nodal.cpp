@@ -107,7 +107,8 @@ struct Touch {
 
 // A node that an obstacle may hold: the lowest point of its quadratic outside the obstacles.
 void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
-  const auto& [all, solver] = *static_cast<const Touch*>(context);
+  const ContactSet& all = static_cast<const Touch*>(context)->contacts;
+  NodalSolver& solver = static_cast<const Touch*>(context)->solver;
   const Block block = block_of(gradient, hessian);
   const auto move_to = [&](const Vec3& target) { solver.node[node] = float4(target, 0); };
   const uint32_t first = all.first[node] - 1;
