@@ -24,7 +24,8 @@ import zenoh
 
 PATIENCE = 60.0  # s for what must come
 PROGRAM, CAR = (str(pathlib.Path(each).resolve()) for each in sys.argv[1:3])
-DEAF = 3.0  # s that nobody may wait longer for an answer, on a loaded machine: it was 20 and more
+DEAF = 15.0  # s that nobody may wait longer for an answer, on any machine: it was 20 and more
+SANITIZED = b"__asan_init" in pathlib.Path(sys.argv[1]).read_bytes()  # it takes more memory for the same
 SEED = int(os.environ.get("DOOR_SEED", "1"))
 ROOT = "crumple/1/main/"
 
@@ -310,7 +311,8 @@ class Frames(WithServer):
                 strangers[-1].wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # all of it has come
                 for each in strangers:
                     each.send(bytes([raw.KEEP_ALIVE]))
-        self.assertLess(self.memory(), before + 400, "MiB: of 256 that may wait, and what else is there")
+        most = before + (800 if SANITIZED else 400)
+        self.assertLess(self.memory(), most, "MiB: of 256 that may wait, and what else is there")
         oversized = self.health()["oversized"]
         self.watcher.put(ROOT + "host/x/poses", bytes((1 << 20) + 1))  # in pieces, too
         while self.health()["oversized"] == oversized:
