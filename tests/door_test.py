@@ -30,6 +30,11 @@ SEED = int(os.environ.get("DOOR_SEED", "1"))
 ROOT = "crumple/1/main/"
 
 
+def put(session, key, payload):
+    """zenoh drops what a session puts faster than its line takes it, unless it is told to wait."""
+    session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+
 def health_of(sample):
     return importlib.import_module("crumple.schema.Health").Health.GetRootAs(bytes(sample.payload))
 
@@ -124,7 +129,7 @@ class Door(WithServer):
         before = self.health()
         for key in self.keys(random.Random(SEED)):
             tried += 1
-            stranger.put(key, b"x")
+            put(stranger, key, b"x")
             stranger.delete(key)
             subscriber = stranger.declare_subscriber(key, lambda sample: None)
             tokens.append(stranger.liveliness().declare_token(key))
@@ -155,7 +160,7 @@ class Door(WithServer):
     def test_samples_that_are_too_long_are_counted_and_not_looked_at(self):
         stranger = self.open()
         for what in ["poses", "obstacles"]:
-            stranger.put(ROOT + "host/x/" + what, bytes((1 << 20) + 1))
+            put(stranger, ROOT + "host/x/" + what, bytes((1 << 20) + 1))
         while self.health()["oversized"] < 2:
             pass
         self.assertEqual(self.health()["hosts"], 0)
@@ -175,7 +180,7 @@ class Door(WithServer):
         stranger = self.open()
         before = self.health()
         for number in range(4_000):
-            stranger.put(ROOT + f"host/h{number}/poses", b"x")
+            put(stranger, ROOT + f"host/h{number}/poses", b"x")
         while (after := self.health())["received"] < before["received"] + 4_000 - after["received_dropped"]:
             pass
         taken = after["messages"] - before["messages"]
@@ -314,7 +319,7 @@ class Frames(WithServer):
         most = before + (800 if SANITIZED else 400)
         self.assertLess(self.memory(), most, "MiB: of 256 that may wait, and what else is there")
         oversized = self.health()["oversized"]
-        self.watcher.put(ROOT + "host/x/poses", bytes((1 << 20) + 1))  # in pieces, too
+        put(self.watcher, ROOT + "host/x/poses", bytes((1 << 20) + 1))  # in pieces, too
         while self.health()["oversized"] == oversized:
             pass
         self.nobody_was_deaf()
@@ -367,7 +372,8 @@ class Frames(WithServer):
             sessions += 1
         self.nobody_was_deaf()
         self.assertGreater(sessions, 50)
-        self.assertLess(self.memory(), before + 100, f"MiB after {sent} frames of {sessions} sessions")
+        most = before + (400 if SANITIZED else 100)
+        self.assertLess(self.memory(), most, f"MiB after {sent} frames of {sessions} sessions")
 
 
 if __name__ == "__main__":
