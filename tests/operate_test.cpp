@@ -362,7 +362,6 @@ TEST_F(Routed, AStandbyFetchesAWorldOfAThousandCars) {
   }
   const auto standby = serve("standby.mcap", {"--standby"});
   EXPECT_TRUE(standby->read_until("holds the world")) << standby->text;
-  EXPECT_EQ(standby->text.find("cannot hold"), std::string::npos) << standby->text;
   EXPECT_NE(standby->text.find("1000 cars"), std::string::npos) << standby->text;
 }
 
