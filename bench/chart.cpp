@@ -23,9 +23,9 @@
 #include <thread>
 
 #include "bake/load_car.h"
-#include "baselines.h"
 #include "car/car.h"
 #include "machine.h"
+#include "reference/baselines.h"
 #include "rooms.h"
 #include "sim/deform.h"
 #include "sim/scratch.h"
@@ -89,7 +89,7 @@ float nose_of(const Model& model) {
 }
 
 // Of the nodes that were foremost, mean.
-double crush_of(const Model& model, const Body& body) {
+double crush_of(const Model& model, const DeformableState& body) {
   const float nose = nose_of(model);
   double sum = 0;
   int count = 0;
@@ -114,7 +114,7 @@ Obstacle obstacle_of(const std::string& scene, const Model& model) {
   return out;
 }
 
-std::vector<Vec3> surface_of(const Model& model, const Body& body) {
+std::vector<Vec3> surface_of(const Model& model, const DeformableState& body) {
   std::vector<Vec3> out(model.vertex.size());
   skin(model, body, out);
   return out;
@@ -146,7 +146,7 @@ Play play(const Crash& crash, const Method& method, int iterations) {
   for (Material& material : parameters.region) {
     if (pushed) material.plastic_limit = 0, material.plasticity = 1;
   }
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   motion.velocity.x() = pushed ? 0 : speed;
   const double brought = kinetic_energy(motion, mass);
@@ -163,9 +163,9 @@ Play play(const Crash& crash, const Method& method, int iterations) {
         deform_baseline(*method.baseline, model, crash.structure, parameters, mass, {&obstacle, 1}, tick_seconds, body, motion);
         return;
       }
-      const Response response = deform({model, parameters, mass, {&obstacle, 1}, tick_seconds}, *scratch, body, motion);
-      contacts = response.contacts;
-      failed = failed || response.recovered;
+      const StepResult result = deform({model, parameters, mass, {&obstacle, 1}, tick_seconds}, *scratch, body, motion);
+      contacts = result.contacts;
+      failed = failed || result.recovered;
     };
     const double seconds = seconds_of([&] { arena.execute(tick); }, method.threads == 1 ? thread_seconds : wall_seconds);
     obstacle.pose = advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, tick_seconds);
@@ -352,7 +352,7 @@ void measure_crash(const std::string& name, const std::shared_ptr<const Car>& ca
 }
 
 void measure_untouched(const std::string& name, const Model& model, Table& table) {
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   const ScratchHandle scratch = make_scratch();
   constexpr int calls = 1000;
@@ -372,7 +372,7 @@ void measure_untouched(const std::string& name, const Model& model, Table& table
 void measure_push(const std::string& name, const Model& model, Table& table) {
   std::vector<Vec3> answer;
   for (int count : {push_ticks, 1}) {
-    Body body = make_body(model);
+    DeformableState body = make_body(model);
     Motion motion;
     const ScratchHandle scratch = make_scratch();
     Obstacle wall = obstacle_of("wall", model);
@@ -398,7 +398,7 @@ void measure_push(const std::string& name, const Model& model, Table& table) {
 
 // One pass of each kernel over a car that has been driven into the wall for two ticks.
 void measure_kernels(const std::string& name, const Model& model, Table& table) {
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   motion.velocity.x() = speed;
   const ScratchHandle scratch = make_scratch();

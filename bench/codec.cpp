@@ -47,13 +47,13 @@ std::vector<Frame> crash(const Car& car, const std::string& scene) {
     obstacle.pose.position = {front + 0.17, 0, 0.5};
   }
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   motion.velocity = {speed, 0, 0};
   std::vector<Frame> frames;
   for (int k = 0; k < 30; ++k) {
-    const Response response = deform({model, Parameters{}, mass, {&obstacle, 1}, 1.0 / 60}, *scratch, body, motion);
-    if (response.contacts == 0) continue;
+    const StepResult result = deform({model, Parameters{}, mass, {&obstacle, 1}, 1.0 / 60}, *scratch, body, motion);
+    if (result.contacts == 0) continue;
     Frame& frame = frames.emplace_back();
     frame.node.resize(car.skin_node.size());
     displace(model, body, car.skin_node, frame.node);

@@ -21,7 +21,7 @@ struct Run {
   const Model& model;
   Parameters parameters;
   Mass mass;
-  Body body;
+  DeformableState body;
   Motion motion;
   Obstacle wall;
   double nose = -1e9, tail = 1e9, dynamic = 0, peak = 0;
@@ -42,10 +42,10 @@ struct Run {
     wall.pose.position = {front + 0.5 + gap, 0, 0};
   }
   void tick(double rate) {
-    const Response response = deform({model, parameters, mass, {&wall, 1}, 1 / rate}, *scratch, body, motion);
+    const StepResult result = deform({model, parameters, mass, {&wall, 1}, 1 / rate}, *scratch, body, motion);
     wall.pose = advance(wall.pose, wall.velocity, wall.angular_velocity, 1 / rate);
     dynamic = std::max(dynamic, front_crush());
-    peak = std::max(peak, response.impulse.norm() / mass.mass * rate / 9.81);
+    peak = std::max(peak, result.impulse.norm() / mass.mass * rate / 9.81);
   }
   // Mean over the nodes of the front face at rest.
   double front_crush() const {

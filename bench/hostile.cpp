@@ -360,7 +360,7 @@ Material random_material(Random& random) {
   m.yield_strain = float(random.uniform(0, 1));
   m.hardening = float(random.uniform(0, 1));
   m.plastic_limit = float(random.uniform(0, 3));
-  m.viscosity = random.chance(0.1) ? 0 : float(random.logarithmic(1, 1e9));
+  m.drag = random.chance(0.1) ? 0 : float(random.logarithmic(1, 1e9));
   m.distance_stiffness = float(random.uniform(0, 1));
   m.volume_stiffness = float(random.uniform(0, 1));
   m.plasticity = float(random.uniform(0, 1));

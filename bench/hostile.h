@@ -13,8 +13,8 @@
 #include <string>
 #include <vector>
 
-#include "baselines.h"
 #include "car/car.h"
+#include "reference/baselines.h"
 #include "sim/deform.h"
 
 namespace crumple {
@@ -62,7 +62,7 @@ struct Box {
   Vec3 size() const { return high - low; }
 };
 
-inline bool finite(const Body& body) {
+inline bool finite(const DeformableState& body) {
   return std::all_of(body.node.begin(), body.node.end(), [](const Vec3& node) { return node.allFinite(); });
 }
 
@@ -75,7 +75,7 @@ struct Run {
   Parameters parameters;
   Random random;
   Mass mass;
-  Body body;
+  DeformableState body;
   Motion motion;
   std::vector<Obstacle> obstacles;
   std::vector<Vec3> goal;  // where nodes should end

@@ -20,18 +20,18 @@ struct Scene {
   Parameters parameters;
   Mass mass;
   std::vector<Obstacle> wall;
-  Body body;
+  DeformableState body;
   Motion motion;
 };
 
 // What one car needs for a tick.
 struct Lane {
-  Body body;
+  DeformableState body;
   Motion motion;
   ScratchHandle scratch = make_scratch();
   ContactSet contacts;
   std::vector<Vec3> vertex;
-  Response response;
+  StepResult result;
 };
 
 Scene make_scene(const std::shared_ptr<const Car>& car) {
@@ -122,7 +122,7 @@ void whole_loop(const Scene& scene, Lane& lane) {
   Parameters parameters = scene.parameters;
   parameters.solver = Solver::classic;
   parameters.iterations = 1;
-  lane.response =
+  lane.result =
       deform({scene.car->model, parameters, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
   update_skin(scene, lane);
 }
@@ -156,13 +156,13 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
       lane.body = scene.body;
       lane.motion = scene.motion;
       const double before = times.seconds[size_t(Room::solve)];
-      lane.response = deform({scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters)},
-                             *lane.scratch, lane.body, lane.motion, &times);
+      lane.result = deform({scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters)},
+                           *lane.scratch, lane.body, lane.motion, &times);
       state.SetIterationTime(times.seconds[size_t(Room::solve)] - before);
-      substeps += lane.response.substeps;
+      substeps += lane.result.substeps;
     }
     const double milli = 1000 / std::max(1.0, substeps);  // a sub-step, in ms
-    state.counters["substeps"] = lane.response.substeps;
+    state.counters["substeps"] = lane.result.substeps;
     state.counters["contacts_ms"] = times.seconds[size_t(Room::contacts)] * milli;
     state.counters["flow_ms"] = times.seconds[size_t(Room::flow)] * milli;
   });
@@ -170,7 +170,7 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
 
 // The tick as a host gets it by default, surface and all.
 void default_tick(const Scene& scene, Lane& lane) {
-  lane.response = deform({scene.car->model, {}, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
+  lane.result = deform({scene.car->model, {}, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
   update_skin(scene, lane);
 }
 

@@ -16,8 +16,8 @@
 #include <string>
 
 #include "bake/make_tets.h"
-#include "bar.h"
 #include "machine.h"
+#include "reference/bar.h"
 
 namespace {
 
@@ -57,12 +57,12 @@ class Report {
                   parameters.tolerance > 0 ? 0 : parameters.iterations);
     case_ = text;
   }
-  void add(const char* quantity, double value, const char* unit, const Body& body, const char* at = "") {
+  void add(const char* quantity, double value, const char* unit, const DeformableState& body, const char* at = "") {
     std::fprintf(file_.get(), "%s,%s,%s,%s,%.5g,%s,%016llx\n", about_.c_str(), case_.c_str(), quantity, at, value, unit,
                  static_cast<unsigned long long>(hash(body)));
     if (!*at) std::fprintf(stderr, "%s: %s %.5g %s\n", case_.c_str(), quantity, value, unit);
   }
-  void add(const char* quantity, double at, double value, const char* unit, const Body& body) {
+  void add(const char* quantity, double at, double value, const char* unit, const DeformableState& body) {
     char text[40];
     std::snprintf(text, sizeof text, "%.5g", at);
     add(quantity, value, unit, body, text);
@@ -84,7 +84,7 @@ void pull(const TetMesh& bar, float yield, int sweeps, Report& report) {
 
 // Pushes down by `depth` within push_ticks and reports the force on the way. The body is left under the obstacle.
 double push_down(const HeldMesh& mesh, const Parameters& parameters, double depth, Obstacle& obstacle, Scratch& scratch,
-                 Body& body, Report& report) {
+                 DeformableState& body, Report& report) {
   Motion motion;
   obstacle.velocity.z() = -depth / push_ticks / tick_seconds;
   double work = 0, last = 0;
@@ -105,7 +105,7 @@ void indent(const TetMesh& block, float yield, const char* sides, int sweeps, Re
   const Parameters parameters = parameters_of(yield, sweeps);
   report.begin("block", block, parameters, sides);
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(mesh.model());
+  DeformableState body = make_body(mesh.model());
   Obstacle box;
   make_box({0.11f, 0.11f, 0.1f}, box);
   box.friction = std::strcmp(sides, "stuck") == 0 ? 100 : 0;
@@ -132,7 +132,7 @@ void crush(const TetMesh& tube, float yield, int sweeps, Report& report) {
   const Parameters parameters = parameters_of(yield, sweeps);
   report.begin("tube", tube, parameters, "stuck");
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(mesh.model());
+  DeformableState body = make_body(mesh.model());
   Obstacle plate;
   make_box({0.2f, 0.2f, 0.1f}, plate);
   plate.friction = 100;

@@ -17,7 +17,7 @@
 #include <string>
 
 #include "bake/order_spatially.h"
-#include "held.h"
+#include "reference/held_mesh.h"
 #include "sim/scratch.h"
 
 namespace {
@@ -84,7 +84,7 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
     material.yield_strain = 1;  // and no tet is tried for flow
   }
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(mesh.model());
+  DeformableState body = make_body(mesh.model());
   for (int step = 0; step < steps; ++step) {
     double spent = 0;
     for (int k = 1; k <= substeps; ++k) {

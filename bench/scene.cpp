@@ -56,7 +56,7 @@ double front_of(const Model& model) {
   return front;
 }
 
-std::vector<Vec3> surface_of(const Model& model, const Body& body) {
+std::vector<Vec3> surface_of(const Model& model, const DeformableState& body) {
   std::vector<Vec3> vertex(model.vertex.size());
   skin(model, body, vertex);
   return vertex;
@@ -311,7 +311,7 @@ void measure_overload(const Cars& levels, int threads, Table& table) {
 Play tapped_alone(const Model& model, bool all_awake) {
   const Mass mass = mass_of(model);
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   motion.velocity.x() = tap;
   Obstacle wall;
@@ -326,15 +326,15 @@ Play tapped_alone(const Model& model, bool all_awake) {
         if (!model.node_anchored[i] && body.step[i].norm() < least) body.step[i] = {least, 0, 0};
       }
     }
-    Response response;
+    StepResult result;
     const double seconds = seconds_of(
         [&] {
-          response = deform({model, {}, mass, {&wall, 1}, substep_seconds(Parameters{})}, *scratch, body, motion);
+          result = deform({model, {}, mass, {&wall, 1}, substep_seconds(Parameters{})}, *scratch, body, motion);
         },
         thread_seconds);
-    if (response.substeps == 0 || !body.touching) continue;
+    if (result.substeps == 0 || !body.touching) continue;
     play.seconds += seconds;
-    play.work += double(response.work);
+    play.work += double(result.work);
     ++solved;
   }
   play.seconds /= solved;
@@ -360,9 +360,9 @@ void measure_active_set(const Cars& levels, Table& table) {
   }
 }
 
-Body crashed_into_a_pole(const Model& model) {
+DeformableState crashed_into_a_pole(const Model& model) {
   const ScratchHandle scratch = make_scratch();
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   motion.velocity.x() = crash;
   Obstacle pole;
@@ -373,7 +373,7 @@ Body crashed_into_a_pole(const Model& model) {
 }
 
 // How far it moves when nothing holds it.
-double creep(const Model& model, Body body) {
+double creep(const Model& model, DeformableState body) {
   const ScratchHandle scratch = make_scratch();
   const auto before = surface_of(model, body);
   Motion motion;
@@ -384,10 +384,10 @@ double creep(const Model& model, Body body) {
 
 void measure_switch(const Cars& levels, Table& table) {
   const Model& fine = levels[0]->model;
-  const Body crashed = crashed_into_a_pole(fine);
+  const DeformableState crashed = crashed_into_a_pole(fine);
   const auto surface = surface_of(fine, crashed);
   const double largest = compare(surface, {fine.vertex.begin(), fine.vertex.end()}).most;
-  const auto add = [&](const std::string& what, const Model& model, const Body& body, const Model& from) {
+  const auto add = [&](const std::string& what, const Model& model, const DeformableState& body, const Model& from) {
     Row row{what, from.node.size(), Parameters{}.iterations, 1};
     row.error = compare(surface_of(model, body), surface);
     row.largest = largest;
@@ -399,7 +399,7 @@ void measure_switch(const Cars& levels, Table& table) {
   };
   for (size_t k = 1; k < levels.size(); ++k) {
     const Model& coarse = levels[k]->model;
-    const Body down = transfer(fine, coarse, map_level(fine, coarse), crashed);
+    const DeformableState down = transfer(fine, coarse, map_level(fine, coarse), crashed);
     add("switch down", coarse, down, coarse);
     add("switch down and up", fine, transfer(coarse, fine, map_level(coarse, fine), down), coarse);
     Row row{"crash on the level", coarse.node.size(), Parameters{}.iterations, 1};

@@ -16,7 +16,7 @@
 
 #include "bake/load_car.h"
 #include "car/car.h"
-#include "reference.h"
+#include "reference/newton.h"
 #include "sim/deform.h"
 
 namespace {
@@ -47,7 +47,7 @@ struct Setting {
 };
 constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus}, {"poisson_ratio", &Material::poisson_ratio},
                                 {"yield", &Material::yield_strain},          {"hardening", &Material::hardening},
-                                {"plastic_limit", &Material::plastic_limit}, {"viscosity", &Material::viscosity}};
+                                {"plastic_limit", &Material::plastic_limit}, {"drag", &Material::drag}};
 
 void set_material(const std::string& name, float value, Parameters& parameters) {
   for (const Setting& setting : settings) {
@@ -58,7 +58,7 @@ void set_material(const std::string& name, float value, Parameters& parameters) 
   }
   throw std::runtime_error("--material " + name +
                            " is not known; try young_modulus, poisson_ratio, yield, hardening, "
-                           "plastic_limit or viscosity");
+                           "plastic_limit or drag");
 }
 
 Scene scene_of(int argc, char** argv) {
@@ -139,7 +139,7 @@ std::vector<Row> by_nodal(const Scene& scene, int sweeps) {
   mass.center = model.center_of_mass.cast<double>();
   mass.mass = std::numeric_limits<double>::infinity();
   mass.inertia.setConstant(mass.mass);
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   const ScratchHandle scratch = make_scratch();
   std::vector<Row> rows;

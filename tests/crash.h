@@ -17,11 +17,11 @@ struct Crash {
   const Model& model = car->model;
   Parameters parameters;
   Mass mass;
-  Body body = make_body(model);
+  DeformableState body = make_body(model);
   Motion motion;
   std::vector<Obstacle> obstacles;
   ScratchHandle scratch = make_scratch();
-  Response total;  // impulses added up
+  StepResult total;  // impulses added up
   double front = 0;
 
   Crash() {
@@ -40,14 +40,14 @@ struct Crash {
     wall.pose.position = {front + 0.5 + gap, 0, 0};
     return obstacles.emplace_back(wall);
   }
-  Response tick(double seconds = tick_seconds) {
-    const Response response = deform({model, parameters, mass, obstacles, seconds}, *scratch, body, motion);
+  StepResult tick(double seconds = tick_seconds) {
+    const StepResult result = deform({model, parameters, mass, obstacles, seconds}, *scratch, body, motion);
     for (Obstacle& each : obstacles) each.pose = advance(each.pose, each.velocity, each.angular_velocity, seconds);
-    total.impulse += response.impulse;
-    total.angular_impulse += response.angular_impulse;
-    total.substeps += response.substeps;
-    total.deepest = std::max(total.deepest, response.deepest);
-    return response;
+    total.impulse += result.impulse;
+    total.angular_impulse += result.angular_impulse;
+    total.substeps += result.substeps;
+    total.deepest = std::max(total.deepest, result.deepest);
+    return result;
   }
   void run(double seconds, double rate = 60) {
     for (int k = 0; k < int(std::lround(seconds * rate)); ++k) tick(1 / rate);

@@ -103,7 +103,7 @@ inline Bytes load(const Bytes& state) {
                                    reinterpret_cast<const uint8_t*>(state.data()) + state.size());
   return command(builder, schema::CreateLoadDirect(builder, &bytes));
 }
-// `fill` sets the fields: [](schema::ParametersBuilder& p) { p.add_yield(0.1f); }
+// `fill` sets the fields: [](schema::ParametersBuilder& p) { p.add_yield_strain(0.1f); }
 template <class Fill>
 Bytes parameters(Fill fill) {
   Builder builder;

@@ -44,6 +44,7 @@ const std::map<std::string, std::set<std::string>> may_include = {
     {"wire", {"wire", "protocol", "sim", "schema"}},
     {"tick", {"tick", "wire", "car", "protocol", "sim", "schema"}},
     {"bake", {"bake", "car", "protocol", "sim", "schema", "io"}},
+    {"reference", {"reference", "bake", "car", "sim"}},
     {"viewer", {"viewer", "protocol", "schema"}},
     {"recording", {"recording", "tick", "viewer", "wire", "car", "protocol", "sim", "schema", "io"}},
     {"service", {"service", "recording", "bake", "tick", "car", "protocol", "schema", "io"}},

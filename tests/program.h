@@ -2,6 +2,7 @@
 // zenoh on loopback. Waits for messages, never for time; a deadline ends a wait that would not end.
 #pragma once
 
+#include <crumple_client.h>
 #include <gtest/gtest.h>
 #include <poll.h>
 #include <sys/wait.h>
@@ -14,7 +15,6 @@
 #include <functional>
 
 #include "box_car.h"
-#include "cpp/crumple_client.h"
 
 namespace crumple {
 

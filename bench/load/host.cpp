@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <crumple.hpp>
 #include <map>
 #include <thread>
 
-#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {

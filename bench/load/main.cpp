@@ -5,6 +5,7 @@
 
 #include <CLI/CLI.hpp>
 #include <chrono>
+#include <crumple.hpp>
 #include <csignal>
 #include <filesystem>
 #include <fstream>
@@ -14,7 +15,6 @@
 
 #include "bake/load_car.h"
 #include "car/car.h"
-#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {

@@ -1,13 +1,13 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <crumple.hpp>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <map>
 #include <stdexcept>
 
-#include "cpp/crumple.hpp"
 #include "load.h"
 
 namespace crumple::load {

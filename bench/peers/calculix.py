@@ -20,7 +20,7 @@ crumple_outside plays the same on the same tets; bench/outside.py compares, agai
 plastic Poisson ratio 0; the elastic one may be set up to 0.45, the plastic one not, so it comes no nearer to J2)
   bar    must agree: its stress has one axis, there kappa is the axial logarithmic plastic strain in both, and force times
          stretch is the axial stress however much the bar thins. Two differences are left: crumple's stable neo-Hookean law is
-         stiffer in tension (bench/bar.h; 1.7 % more set at yield 0.03), and its Y is a Kirchhoff stress where here it seems to
+         stiffer in tension (server/reference/bar.h; 1.7 % more set at yield 0.03), and its Y is a Kirchhoff stress where here it seems to
          be Cauchy's (2 % of force at yield 0.009, 4 % at 0.03: the elastic change of volume)
   tube   nearly: its walls carry one axis. Measured, converged: force within 1 %, set within 2 %
   block  cannot but in the depth that stays, which is the travel less an elastic rebound: von Mises moves the volume aside and

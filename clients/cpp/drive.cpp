@@ -7,11 +7,11 @@
 #include <Eigen/Geometry>
 #include <chrono>
 #include <cmath>
+#include <crumple.hpp>
 #include <cstdio>
 #include <stdexcept>
 #include <vector>
 
-#include "cpp/crumple.hpp"
 #include "cpp/scene.h"
 #include "io/files.h"
 #include "protocol/asset.h"
@@ -146,10 +146,10 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
   to.region = from.region;
   take(from.young_modulus, to.young_modulus);
   take(from.poisson_ratio, to.poisson_ratio);
-  take(from.yield, to.yield);
+  take(from.yield_strain, to.yield_strain);
   take(from.hardening, to.hardening);
   take(from.plastic_limit, to.plastic_limit);
-  take(from.viscosity, to.viscosity);
+  take(from.drag, to.drag);
   take(from.distance_stiffness, to.distance_stiffness);
   take(from.volume_stiffness, to.volume_stiffness);
   take(from.plasticity, to.plasticity);

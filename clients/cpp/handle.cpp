@@ -57,7 +57,7 @@ Crumple* keep(std::unique_ptr<Crumple> session) {
   return handle;
 }
 
-bool given(std::initializer_list<Argument> needed) {
+bool not_null(std::initializer_list<Argument> needed) {
   for (const Argument& argument : needed) {
     if (argument.value) continue;
     fail(CRUMPLE_BAD_ARGUMENT, std::string(argument.name) + " is NULL: crumple_client.h says what to give");

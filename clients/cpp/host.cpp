@@ -129,10 +129,10 @@ int crumple_set_parameters(Crumple* handle, const char* car, const CrumpleParame
     using To = schema::ParametersBuilder;
     add(parameters->young_modulus, &To::add_young_modulus);
     add(parameters->poisson_ratio, &To::add_poisson_ratio);
-    add(parameters->yield, &To::add_yield);
+    add(parameters->yield_strain, &To::add_yield_strain);
     add(parameters->hardening, &To::add_hardening);
     add(parameters->plastic_limit, &To::add_plastic_limit);
-    add(parameters->viscosity, &To::add_viscosity);
+    add(parameters->drag, &To::add_drag);
     add(parameters->distance_stiffness, &To::add_distance_stiffness);
     add(parameters->volume_stiffness, &To::add_volume_stiffness);
     add(parameters->plasticity, &To::add_plasticity);
@@ -177,7 +177,7 @@ int crumple_wait(Crumple* handle, uint64_t ticket, CrumpleAnswer* out) {
 
 int crumple_publish_poses(Crumple* handle, double time, const CrumpleCarPose* cars, size_t count) {
   return with(handle, {}, [&](Crumple* session) -> int {
-    if (count > 0 && !given({{"cars", cars}})) return CRUMPLE_BAD_ARGUMENT;
+    if (count > 0 && !not_null({{"cars", cars}})) return CRUMPLE_BAD_ARGUMENT;
     if (count > list_limit) return fail(CRUMPLE_BAD_ARGUMENT, "there are over 10000 poses");
     flatbuffers::FlatBufferBuilder builder;
     std::vector<flatbuffers::Offset<schema::CarPose>> list;
@@ -199,7 +199,7 @@ int crumple_publish_poses(Crumple* handle, double time, const CrumpleCarPose* ca
 
 int crumple_publish_obstacles(Crumple* handle, const CrumpleObstacle* obstacles, size_t count) {
   return with(handle, {}, [&](Crumple* session) -> int {
-    if (count > 0 && !given({{"obstacles", obstacles}})) return CRUMPLE_BAD_ARGUMENT;
+    if (count > 0 && !not_null({{"obstacles", obstacles}})) return CRUMPLE_BAD_ARGUMENT;
     if (count > list_limit) return fail(CRUMPLE_BAD_ARGUMENT, "there are over 10000 obstacles");
     size_t left = point_limit;
     flatbuffers::FlatBufferBuilder builder;
@@ -212,7 +212,7 @@ int crumple_publish_obstacles(Crumple* handle, const CrumpleObstacle* obstacles,
       const schema::Pose pose = pose_of(from.pose);
       const schema::Vec3 size = vector_of(from.size), velocity = vector_of(from.velocity),
                          turn = vector_of(from.angular_velocity);
-      if (from.point_count > 0 && !given({{"points of an obstacle", from.points}})) return CRUMPLE_BAD_ARGUMENT;
+      if (from.point_count > 0 && !not_null({{"points of an obstacle", from.points}})) return CRUMPLE_BAD_ARGUMENT;
       if (from.point_count > left) return fail(CRUMPLE_BAD_ARGUMENT, "the hulls have over 100000 points together");
       left -= from.point_count;
       std::vector<schema::Vec3> points;
@@ -229,7 +229,7 @@ int crumple_publish_obstacles(Crumple* handle, const CrumpleObstacle* obstacles,
 size_t crumple_take_reactions(Crumple* handle, CrumpleReaction* out, size_t capacity) {
   size_t count = 0;
   with(handle, {}, [&](Crumple* session) {
-    if (capacity > 0 && !given({{"out", out}})) return CRUMPLE_BAD_ARGUMENT;
+    if (capacity > 0 && !not_null({{"out", out}})) return CRUMPLE_BAD_ARGUMENT;
     for (; count < capacity && !session->reactions.empty(); ++count) {
       out[count] = session->reactions.front();
       session->reactions.pop_front();

@@ -76,7 +76,7 @@ double crumple_time(const Crumple* handle) {
 
 int crumple_feed(Crumple* handle, const char* key, const void* bytes, size_t size) {
   return with(handle, {{"key", key}}, [&](Crumple* session) -> int {
-    if (size > 0 && !given({{"bytes", bytes}})) return CRUMPLE_BAD_ARGUMENT;
+    if (size > 0 && !not_null({{"bytes", bytes}})) return CRUMPLE_BAD_ARGUMENT;
     if (size > message_limit) return fail(CRUMPLE_BAD_ARGUMENT, "the message is over 64 MiB");
     if (session->net)
       return fail(CRUMPLE_BAD_ARGUMENT, "this session has a network: open one without options.connect to feed it");
@@ -117,7 +117,7 @@ int crumple_follow(Crumple* handle, const char* id, int level) {
 
 size_t crumple_cars(const Crumple* handle, const char** ids, size_t capacity) {
   const int count = with(handle, {}, [&](Crumple* session) -> int {
-    if (capacity > 0 && !given({{"ids", ids}})) return CRUMPLE_BAD_ARGUMENT;
+    if (capacity > 0 && !not_null({{"ids", ids}})) return CRUMPLE_BAD_ARGUMENT;
     size_t next = 0;
     for (const auto& [id, car] : session->following.cars) {
       if (next == capacity) break;

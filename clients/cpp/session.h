@@ -1,6 +1,8 @@
 // The inside of a session (crumple_client.h): what has come and the caller has not taken yet, and what the session waits for.
 #pragma once
 
+#include <crumple_client.h>
+
 #include <chrono>
 #include <deque>
 #include <exception>
@@ -14,7 +16,6 @@
 #include <string>
 #include <vector>
 
-#include "cpp/crumple_client.h"
 #include "io/net.h"
 #include "viewer/fetch.h"
 #include "viewer/follow.h"
@@ -147,27 +148,27 @@ struct Argument {
   const void* value;
 };
 // Whether none is NULL; else the error is set.
-bool given(std::initializer_list<Argument>);
+bool not_null(std::initializer_list<Argument>);
 // What an exception says is the error; NULL: it is none of C++'s own.
 int fail_by(const std::exception*) noexcept;
 
 // Each function of the header: with a session, with all arguments that it needs, and no exception gets out of the library,
 // since no caller in C or another language could take it.
-template <class Body>
-int guarded(std::initializer_list<Argument> needed, Body body) noexcept {
+template <class DeformableState>
+int guarded(std::initializer_list<Argument> needed, DeformableState body) noexcept {
   try {
-    return given(needed) ? static_cast<int>(body()) : CRUMPLE_BAD_ARGUMENT;
+    return not_null(needed) ? static_cast<int>(body()) : CRUMPLE_BAD_ARGUMENT;
   } catch (const std::exception& thrown) {
     return fail_by(&thrown);
   } catch (...) {
     return fail_by(nullptr);
   }
 }
-template <class Body>
-int with(const Crumple* handle, std::initializer_list<Argument> needed, Body body) noexcept {
+template <class DeformableState>
+int with(const Crumple* handle, std::initializer_list<Argument> needed, DeformableState body) noexcept {
   return guarded({}, [&] {
     Crumple* session = find(handle);
-    return session && given(needed) ? static_cast<int>(body(session)) : CRUMPLE_BAD_ARGUMENT;
+    return session && not_null(needed) ? static_cast<int>(body(session)) : CRUMPLE_BAD_ARGUMENT;
   });
 }
 

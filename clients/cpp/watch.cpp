@@ -2,10 +2,10 @@
 #include "cpp/watch.h"
 
 #include <chrono>
+#include <crumple.hpp>
 #include <cstdio>
 #include <vector>
 
-#include "cpp/crumple.hpp"
 #include "io/obj.h"
 
 namespace crumple::client {

@@ -74,7 +74,7 @@ public struct Parameters {
   public uint Iterations, Substeps;
   public float Tolerance;
   public int Region;
-  public float YoungModulus, PoissonRatio, Yield, Hardening, PlasticLimit, Viscosity;
+  public float YoungModulus, PoissonRatio, YieldStrain, Hardening, PlasticLimit, Drag;
   public float DistanceStiffness, VolumeStiffness, Plasticity;
   public static Parameters Keep { get { return Native.crumple_keep(); } }
 }

@@ -63,7 +63,7 @@ void Control::command(const WebRequest& request, const std::string& car) {
   pass({request.ticket, nullptr}, "car/" + car, {request.data, request.size});
 }
 
-void Control::give(uint64_t ticket, const Car& car) {
+void Control::upload(uint64_t ticket, const Car& car) {
   flatbuffers::FlatBufferBuilder builder;
   const auto bytes = builder.CreateVector(reinterpret_cast<const uint8_t*>(car->bytes.data()), car->bytes.size());
   builder.Finish(schema::CreateAsset(builder, bytes));
@@ -88,7 +88,7 @@ void Control::work() {
   if (!painting_ || painting_->second.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;
   const uint64_t ticket = painting_->first;
   try {
-    give(ticket, painting_->second.get());
+    upload(ticket, painting_->second.get());
   } catch (const std::exception& error) {
     refuse(ticket, 422, error.what());
   }

@@ -43,7 +43,7 @@ class Control {
   };
   void take(const WebRequest&);
   void command(const WebRequest&, const std::string& car);
-  void give(uint64_t ticket, const Car&);
+  void upload(uint64_t ticket, const Car&);
   void pass(const Passed&, const std::string& key, std::span<const uint8_t>);
   void refuse(uint64_t ticket, uint16_t status, const std::string& sentence);
 

@@ -10,7 +10,7 @@
 #include "gateway/hub.h"
 #include "gateway/need.h"
 #include "gateway/pages.h"
-#include "gateway/player.h"
+#include "gateway/playback_loop.h"
 #include "io/net.h"
 #include "io/web.h"
 
@@ -49,7 +49,7 @@ void run(Doors& doors, Hub& hub, Control* control, const std::atomic<bool>& stop
 int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   std::signal(SIGPIPE, SIG_IGN);  // a line that goes while something is written to it does not end the gateway
   const std::string page = read_page(options.page);
-  Player player;
+  PlaybackLoop playback;
   Doors doors;
   need(web_open(options.listen.c_str(), &doors.web));
   need(web_page(doors.web, "/", "text/html; charset=utf-8", page.data(), page.size()));
@@ -63,9 +63,9 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   if (options.files.size() > 1) return hand_out(doors.web, options.files, stop), 0;
   std::string scene = options.scene, connect = options.connect;
   if (!options.files.empty()) {
-    player.start(options.files[0], options.speed);
-    scene = player.scene();
-    connect = player.endpoint();
+    playback.start(options.files[0], options.speed);
+    scene = playback.scene();
+    connect = playback.endpoint();
   }
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
   need(net_open("client", nullptr, connect.c_str(), network, connect_ms, &doors.net));

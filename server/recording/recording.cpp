@@ -154,8 +154,8 @@ void Recording::write_head(const RecordingHead& head) {
   need(recorder_metadata(recorder_.get(), head_name, pointers.data()));
   for (const auto& car : head.cars)
     need(recorder_attach(recorder_.get(), car->hash.c_str(), car_media_type, car->bytes.data(), car->bytes.size()));
-  for (const auto& car : head.given)
-    need(recorder_attach(recorder_.get(), car->hash.c_str(), given_media_type, car->bytes.data(), car->bytes.size()));
+  for (const auto& car : head.uploaded)
+    need(recorder_attach(recorder_.get(), car->hash.c_str(), uploaded_media_type, car->bytes.data(), car->bytes.size()));
   for (std::span<const std::byte> rest(head.world); !rest.empty();) {
     const auto piece = rest.first(std::min(rest.size(), world_piece));
     need(recorder_attach(recorder_.get(), "world", world_media_type, piece.data(), piece.size()));
@@ -254,7 +254,7 @@ RecordingReader::RecordingReader(const std::string& path) : path_(path) {
       const auto* bytes = reinterpret_cast<const std::byte*>(data);
       if (std::strcmp(type, car_media_type) == 0)
         head_.cars.push_back(read_car({bytes, size}, path + " (recorded by " + head_.program + "): attachment " + name));
-      if (std::strcmp(type, given_media_type) == 0) given_[name] = read_car({bytes, size}, path + ": attachment " + name);
+      if (std::strcmp(type, uploaded_media_type) == 0) given_[name] = read_car({bytes, size}, path + ": attachment " + name);
       if (std::strcmp(type, world_media_type) == 0) head_.world.insert(head_.world.end(), bytes, bytes + size);
     }
   } catch (...) {
@@ -310,7 +310,7 @@ bool RecordingReader::next(Item& item) {
 
 // One that the world refused is none here either.
 void RecordingReader::take_asset(std::span<const uint8_t> bytes) {
-  GivenAsset asset;
+  UploadedAsset asset;
   if (decode(std::as_bytes(bytes), head_.limits, asset)) return;
   try {
     const auto car = read_car(asset.car, path_);

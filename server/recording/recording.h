@@ -35,7 +35,7 @@ namespace crumple {
 // one name give the same bits, and a recording names the one that it can be verified with.
 extern const char* const program_name;
 inline constexpr const char* car_media_type = "application/vnd.crumple.car";
-inline constexpr const char* given_media_type = "application/vnd.crumple.given.car";  // given to that world before
+inline constexpr const char* uploaded_media_type = "application/vnd.crumple.given.car";  // given to that world before
 inline constexpr const char* world_media_type = "application/vnd.crumple.world";
 
 // What a fresh world is made of.
@@ -47,8 +47,8 @@ struct RecordingHead {
   float quantum = 0.0005f;
   Limits limits;
   std::vector<std::shared_ptr<const Car>> cars;
-  std::vector<std::byte> world;                   // load_world; empty: a new one
-  std::vector<std::shared_ptr<const Car>> given;  // in it
+  std::vector<std::byte> world;                      // load_world; empty: a new one
+  std::vector<std::shared_ptr<const Car>> uploaded;  // in it
 };
 
 // Of a key below the scene's root; `other` is none of ours.

@@ -6,7 +6,7 @@
 #include <stdexcept>
 #include <thread>
 
-#include "recording/film.h"
+#include "recording/playback.h"
 #include "recording/recording.h"
 #include "schema/message_generated.h"
 #include "tick/hash.h"
@@ -32,25 +32,25 @@ struct Verdict {
 };
 
 // A message that a tick gave.
-struct Told {
+struct Output {
   std::string key;
   std::vector<std::byte> bytes;
   uint32_t tick = 0;
-  bool operator==(const Told&) const = default;
+  bool operator==(const Output&) const = default;
 };
 
-void add_told(const Outbox& outbox, uint64_t tick, std::vector<Told>& told) {
+void add_outputs(const Outbox& outbox, uint64_t tick, std::vector<Output>& told) {
   for (const Message& message : outbox)
     if (const std::string key = recorded_key(message); !key.empty()) told.push_back({key, message.bytes, uint32_t(tick)});
 }
 
-void sort_by_key(std::vector<Told>& told) {
-  std::stable_sort(told.begin(), told.end(), [](const Told& a, const Told& b) { return a.key < b.key; });
+void sort_by_key(std::vector<Output>& told) {
+  std::stable_sort(told.begin(), told.end(), [](const Output& a, const Output& b) { return a.key < b.key; });
 }
 
 // The first key of which other messages were recorded than were given, and what is wrong with it; "": none. Of those given so
 // many may be lost. Other programs may write keys in another order, but the messages of one in the same.
-std::string difference(std::vector<Told>& given, std::vector<Told>& recorded, uint64_t lost) {
+std::string difference(std::vector<Output>& given, std::vector<Output>& recorded, uint64_t lost) {
   sort_by_key(given);
   sort_by_key(recorded);
   auto want = given.begin(), has = recorded.begin();
@@ -108,10 +108,10 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
   if (!head.world.empty()) load_world(head.world, *world);
   Inbox inbox;
   Outbox outbox;
-  std::vector<Told> given, recorded;
+  std::vector<Output> given, recorded;
   uint64_t inputs = 0;  // the sum of their hashes
   shown(*world, outbox);
-  add_told(outbox, tick_count(*world), given);
+  add_outputs(outbox, tick_count(*world), given);
   for (RecordingReader::Item item; !stop && file.next(item);) {
     ++verdict.messages;
     const auto bytes = std::as_bytes(item.bytes);
@@ -144,7 +144,7 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
       if (item.tick != uint32_t(next)) return differ(verdict, next, " in tick (of another tick)");
       tick(*world, inbox, outbox, threads);
       inbox.clear();
-      add_told(outbox, end.tick, given);
+      add_outputs(outbox, end.tick, given);
       std::string key = difference(given, recorded, end.lost_outputs);
       if (key.empty() && end.inputs != 0 && end.inputs != inputs) key = "its inputs (others were recorded)";
       verdict.inputs |= inputs != 0 && end.inputs == 0;
@@ -242,7 +242,7 @@ int replay(const ReplayOptions& options, const std::atomic<bool>& stop) {
   bool good = true;
   if (options.verify)
     for (const std::string& path : options.files) good &= verify_file(path, threads, stop);
-  if (options.publish) show_films(options, stop);
+  if (options.publish) serve_playback(options, stop);
   return good ? 0 : 1;
 }
 

@@ -14,8 +14,8 @@
 #include <type_traits>
 #include <utility>
 
-#include "tick/given.h"
 #include "tick/snapshot.h"
+#include "tick/uploads.h"
 
 namespace crumple {
 namespace {
@@ -80,7 +80,7 @@ std::unique_ptr<Recording> Series::begin(RecorderHandle& recorder) const {
   RecordingHead head = options_.head;
   if (tick_count(world_) > 0) {
     head.world = save_world(world_);
-    head.given = given_cars(world_);
+    head.uploaded = uploaded_cars(world_);
   }
   head.started = with_time("%Y-%m-%dT%H:%M:%SZ");
   Outbox outbox;

@@ -27,10 +27,10 @@
 #include "service/metrics.h"
 #include "service/standby.h"
 #include "tick/budget.h"
-#include "tick/given.h"
 #include "tick/hash.h"
 #include "tick/health.h"
 #include "tick/levels.h"
+#include "tick/uploads.h"
 
 namespace crumple {
 namespace {
@@ -61,7 +61,7 @@ constexpr double late_share = 0.25;
 
 // What the budget is in tet visits, which is all that the world knows. Learned from ticks that say something about it: those
 // that took long, and those that were cut short; before the first one, from warming up.
-struct Pace {
+struct BudgetEstimator {
   double limit = 0;   // s a tick; 0: none
   double visit = 0;   // s, with all threads and what else a tick does; 0: not known yet
   uint64_t said = 0;  // the last budget
@@ -103,7 +103,7 @@ struct Server {
   LatestInputs latest;
   Inbox inbox;
   Outbox outbox;
-  Pace pace;
+  BudgetEstimator budget;
   Owner owner{1, random_id()};
   bool replaced = false;  // by a server of a later epoch
   WorldAnswers world_answers;
@@ -229,7 +229,7 @@ void forget_hosts(Server& server) {
 void open_scene(Server& server) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
     need(net_subscribe(server.net, (server.root + what).c_str(), 0, sample_limit));
-  need(net_queryable(server.net, (server.root + "asset").c_str(), query_limit, given_most + question_limit));
+  need(net_queryable(server.net, (server.root + "asset").c_str(), query_limit, largest_upload + question_limit));
   need(net_queryable(server.net, (server.root + "car/*").c_str(), query_limit, command_limit));
   for (const char* what : {"car/*/key/*", "replica/world", "inputs"})
     need(net_queryable(server.net, (server.root + what).c_str(), query_limit, question_limit));
@@ -283,7 +283,7 @@ void take(Server& server, const NetEvent& event) {
 }
 
 std::vector<std::shared_ptr<const Car>> all_cars(const Server& server) {
-  auto cars = given_cars(*server.world);
+  auto cars = uploaded_cars(*server.world);
   cars.insert(cars.end(), server.cars.begin(), server.cars.end());
   return cars;
 }
@@ -350,13 +350,13 @@ void publish(Server& server, const Message& message) {
 
 void run_tick(Server& server) {
   const uint64_t number = tick_count(*server.world) + 1;
-  if (const auto budget = server.pace.next()) server.inbox.push_back(budget_message(*budget));
+  if (const auto budget = server.budget.next()) server.inbox.push_back(budget_message(*budget));
   if (server.recording)
     for (const Message& message : server.inbox) server.recording->input(number, message, wall_ns());
   const auto begun = Clock::now();
   const TickResult result = tick(*server.world, server.inbox, server.outbox, server.threads);
   const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
-  server.pace.learn(std::chrono::duration<double>(Clock::now() - begun).count(), result.work);
+  server.budget.learn(std::chrono::duration<double>(Clock::now() - begun).count(), result.work);
   server.last_work = result.work;
   const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
   uint64_t sum = replicated ? hash(*server.world) : 0;  // 0.3 ms where cars are a thousand
@@ -455,7 +455,7 @@ int finish(Server& server) {
 // Of a world that another server had until now. Trouble with the recording must not end the one server that holds it.
 void take_over(Server& server) {
   renew(*server.world);
-  if (server.pace.limit == 0) server.inbox.push_back(budget_message(0));  // not the limit of the other
+  if (server.budget.limit == 0) server.inbox.push_back(budget_message(0));  // not the limit of the other
   try {
     if (server.recording) server.recording->begin(Clock::now());
   } catch (const std::exception& error) {
@@ -490,7 +490,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   Server server(options);
   server.root = root_of(options.scene);
   server.threads = options.threads > 0 ? options.threads : std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  server.pace.limit = 1e-3 * options.budget_ms;
+  server.budget.limit = 1e-3 * options.budget_ms;
   if (options.standby && options.connect.empty())
     throw std::runtime_error("--standby needs --connect: it meets the scene's server at a router");
   start_world(server);
@@ -498,7 +498,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
     warm_up(*server.world, server.threads);
     const auto begun = Clock::now();
     const uint64_t work = warm_up(*server.world, server.threads);
-    if (work > 0) server.pace.visit = std::chrono::duration<double>(Clock::now() - begun).count() / double(work);
+    if (work > 0) server.budget.visit = std::chrono::duration<double>(Clock::now() - begun).count() / double(work);
     open_network(server);
     if (!options.standby && !become_owner(server, stop)) return 0;
     open_recording(server);

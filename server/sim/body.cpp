@@ -54,8 +54,8 @@ class BodyHash {
 
 }  // namespace
 
-Body make_body(const Model& model) {
-  Body body;
+DeformableState make_body(const Model& model) {
+  DeformableState body;
   for_each_field([&](const auto& field) {
     if constexpr (IsList<decltype(field)>) {
       auto& list = body.*field.value;
@@ -67,7 +67,7 @@ Body make_body(const Model& model) {
   return body;
 }
 
-void repair(const Model& model, float amount, Body& body) {
+void repair(const Model& model, float amount, DeformableState& body) {
   if (amount >= 1) {
     const double absorbed = body.absorbed;
     body = make_body(model);
@@ -89,7 +89,7 @@ void repair(const Model& model, float amount, Body& body) {
   body.settled = false;
 }
 
-void measure_reach(const Model& model, Body& body) {
+void measure_reach(const Model& model, DeformableState& body) {
   float most = 0;
   body.low = body.high = body.node[0];
   for (const Vec3& node : body.node) {
@@ -100,7 +100,7 @@ void measure_reach(const Model& model, Body& body) {
   body.reach = std::sqrt(most);
 }
 
-std::optional<std::string> refuse_fields(const Model& model, const Body& body, bool saved) {
+std::optional<std::string> refuse_fields(const Model& model, const DeformableState& body, bool saved) {
   std::optional<std::string> refusal;
   for_each_field([&](const auto& field) {
     if (refusal || (saved && !field.traits.saved)) return;
@@ -134,7 +134,7 @@ std::optional<std::string> refuse_fields(const Model& model, const Body& body, b
   return refusal;
 }
 
-std::optional<std::string> refuse_state(const Model& model, const Body& body) {
+std::optional<std::string> refuse_state(const Model& model, const DeformableState& body) {
   if (auto refusal = refuse_fields(model, body, true)) return refusal;
   for (size_t i = 0; i < body.node.size(); ++i) {
     if (!((body.node[i] - model.node[i]).norm() <= farthest_node)) {
@@ -144,7 +144,7 @@ std::optional<std::string> refuse_state(const Model& model, const Body& body) {
   return std::nullopt;
 }
 
-uint64_t hash(const Body& body) {
+uint64_t hash(const DeformableState& body) {
   BodyHash sum;
   for_each_field([&](const auto& field) { sum(body.*field.value); });
   return sum.value();

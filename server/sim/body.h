@@ -14,7 +14,7 @@
 
 namespace crumple {
 
-struct Body {
+struct DeformableState {
   std::vector<Vec3> node;            // positions, car's frame, m
   std::vector<Vec3> step;            // displacement of the last sub-step, m: the predictor's history
   float step_seconds = 0;            // that it took; 0: none was made yet
@@ -58,7 +58,7 @@ struct FieldTraits {
 template <class T>
 struct ListField {
   const char* name;  // as State has it, where it is saved
-  std::vector<T> Body::*value;
+  std::vector<T> DeformableState::*value;
   Per per;
   std::span<const T> Model::*rest;  // of an undamaged car; null: zeros
   FieldTraits traits;
@@ -71,7 +71,7 @@ concept IsList = requires(Field field) {
 template <class T>
 struct SingleField {
   const char* name;
-  T Body::*value;
+  T DeformableState::*value;
   FieldTraits traits;
 };
 
@@ -82,24 +82,29 @@ struct SingleField {
 template <class Visit>
 constexpr void for_each_field(const Visit& visit) {
   using enum Per;
-  visit(ListField<Vec3>{"node", &Body::node, node, &Model::node, {.saved = true, .repaired = true}});
-  visit(ListField<Vec3>{"step", &Body::step, node, nullptr, {}});
-  visit(ListField<Gradients>{"gradients", &Body::gradients, tet, &Model::gradients, {.saved = true, .repaired = true}});
-  visit(ListField<float>{"hardening", &Body::hardening, tet, nullptr, {.saved = true, .repaired = true, .not_negative = true}});
+  visit(ListField<Vec3>{"node", &DeformableState::node, node, &Model::node, {.saved = true, .repaired = true}});
+  visit(ListField<Vec3>{"step", &DeformableState::step, node, nullptr, {}});
+  visit(ListField<Gradients>{
+      "gradients", &DeformableState::gradients, tet, &Model::gradients, {.saved = true, .repaired = true}});
   visit(ListField<float>{
-      "edge_rest", &Body::edge_rest, edge, &Model::edge_rest, {.saved = true, .repaired = true, .not_negative = true}});
-  visit(ListField<float>{"tet_rest", &Body::tet_rest, tet, &Model::tet_rest, {.saved = true, .repaired = true}});
-  visit(SingleField<double>{"absorbed", &Body::absorbed, {.saved = true, .transferred = true}});
-  visit(SingleField<double>{"stored", &Body::stored, {.saved = true, .transferred = true}});
-  visit(SingleField<double>{"owed", &Body::owed, {.transferred = true, .not_negative = true}});
-  visit(SingleField<bool>{"touching", &Body::touching, {}});
-  visit(SingleField<bool>{"settled", &Body::settled, {.saved = true, .transferred = true}});
-  visit(SingleField<bool>{"lost", &Body::lost, {.transferred = true}});
-  visit(SingleField<float>{"drift", &Body::drift, {.not_negative = true}});
-  visit(SingleField<float>{"step_seconds", &Body::step_seconds, {.not_negative = true}});
-  visit(SingleField<AndersonHistory>{"history", &Body::history, {}});
-  visit(SingleField<Eigen::Vector3d>{"force", &Body::force, {}});
-  visit(SingleField<Eigen::Vector3d>{"moment", &Body::moment, {}});
+      "hardening", &DeformableState::hardening, tet, nullptr, {.saved = true, .repaired = true, .not_negative = true}});
+  visit(ListField<float>{"edge_rest",
+                         &DeformableState::edge_rest,
+                         edge,
+                         &Model::edge_rest,
+                         {.saved = true, .repaired = true, .not_negative = true}});
+  visit(ListField<float>{"tet_rest", &DeformableState::tet_rest, tet, &Model::tet_rest, {.saved = true, .repaired = true}});
+  visit(SingleField<double>{"absorbed", &DeformableState::absorbed, {.saved = true, .transferred = true}});
+  visit(SingleField<double>{"stored", &DeformableState::stored, {.saved = true, .transferred = true}});
+  visit(SingleField<double>{"owed", &DeformableState::owed, {.transferred = true, .not_negative = true}});
+  visit(SingleField<bool>{"touching", &DeformableState::touching, {}});
+  visit(SingleField<bool>{"settled", &DeformableState::settled, {.saved = true, .transferred = true}});
+  visit(SingleField<bool>{"lost", &DeformableState::lost, {.transferred = true}});
+  visit(SingleField<float>{"drift", &DeformableState::drift, {.not_negative = true}});
+  visit(SingleField<float>{"step_seconds", &DeformableState::step_seconds, {.not_negative = true}});
+  visit(SingleField<AndersonHistory>{"history", &DeformableState::history, {}});
+  visit(SingleField<Eigen::Vector3d>{"force", &DeformableState::force, {}});
+  visit(SingleField<Eigen::Vector3d>{"moment", &DeformableState::moment, {}});
 }
 
 // The value at place i of a list in an undamaged car.
@@ -114,22 +119,22 @@ T rest_of(const Model& model, const ListField<T>& field, size_t i) {
 // --------------------------------------------------------------------------------------------------------
 
 // An undamaged car.
-Body make_body(const Model&);
+DeformableState make_body(const Model&);
 
 // Takes `amount` of the damage away: 1 gives the undamaged car, bit for bit.
-void repair(const Model&, float amount, Body&);
+void repair(const Model&, float amount, DeformableState&);
 
 // After nodes moved.
-void measure_reach(const Model&, Body&);
+void measure_reach(const Model&, DeformableState&);
 
 // Why these fields cannot be a body of this car: a list of another size, a number that is not finite or must not be negative.
 // saved: of those that State has only.
-[[nodiscard]] std::optional<std::string> refuse_fields(const Model&, const Body&, bool saved);
+[[nodiscard]] std::optional<std::string> refuse_fields(const Model&, const DeformableState&, bool saved);
 
 // Why what State has cannot be the state of this car: as above, or nodes farther than 10 m from rest.
-[[nodiscard]] std::optional<std::string> refuse_state(const Model&, const Body&);
+[[nodiscard]] std::optional<std::string> refuse_state(const Model&, const DeformableState&);
 
 // XXH64 over everything in the body.
-uint64_t hash(const Body&);
+uint64_t hash(const DeformableState&);
 
 }  // namespace crumple

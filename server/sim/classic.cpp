@@ -23,7 +23,7 @@ TetCorrection volume_correction(const Vec3& a, const Vec3& b, const Vec3& c, con
   return {{scale * direction[0], scale * direction[1], scale * direction[2], scale * direction[3]}};
 }
 
-void solve_classic(const Model& model, const Parameters& parameters, std::span<const Contact> contacts, Body& body) {
+void solve_classic(const Model& model, const Parameters& parameters, std::span<const Contact> contacts, DeformableState& body) {
   for (const Contact& contact : contacts) {
     if (model.node_anchored[contact.node]) continue;
     Vec3& node = body.node[contact.node];

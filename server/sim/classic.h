@@ -14,7 +14,7 @@
 namespace crumple {
 
 // Contacts of the whole tick, already found. Anchored nodes do not move.
-void solve_classic(const Model&, const Parameters&, std::span<const Contact>, Body&);
+void solve_classic(const Model&, const Parameters&, std::span<const Contact>, DeformableState&);
 
 // The two constraints as pure functions. Corrections to add to the positions, before stiffness.
 // |b - a| = rest: half of the difference each.

@@ -23,7 +23,7 @@ struct Approach {
 };
 
 // Whether the body's box is farther than `near` from the obstacle, beyond a plane that has all of it below.
-bool beyond(const Obstacle& obstacle, const Relative& start, const Body& body, float near) {
+bool beyond(const Obstacle& obstacle, const Relative& start, const DeformableState& body, float near) {
   const Vec3 half = 0.5f * (body.high - body.low);
   const Vec3 centre = start.rotation * (body.low + half) + start.translation;
   const auto beyond_plane = [&](const Plane& plane) {
@@ -44,7 +44,7 @@ Metres candidate_distance(Metres travel) {
 // What most obstacles are passed over by: they are far away. The same for all of them, of one car.
 class Reach {
  public:
-  Reach(const StepInput& input, const Body& body, const Motion& motion)
+  Reach(const StepInput& input, const DeformableState& body, const Motion& motion)
       : centre_(motion.pose.position + motion.pose.orientation * input.model.center_of_mass.cast<double>()),
         velocity_(motion.velocity),
         speed_(motion.velocity.norm()),
@@ -65,8 +65,8 @@ class Reach {
   double speed_, turning_, own_, seconds_;
 };
 
-std::optional<Approach> approach(const StepInput& input, const Body& body, const Motion& motion, const Obstacle& obstacle,
-                                 float least = 0) {
+std::optional<Approach> approach(const StepInput& input, const DeformableState& body, const Motion& motion,
+                                 const Obstacle& obstacle, float least = 0) {
   const Relative start = relative(motion.pose, obstacle.pose);
   const Relative end = relative(advance(motion, input.mass, input.seconds),
                                 advance(obstacle.pose, obstacle.velocity, obstacle.angular_velocity, input.seconds));
@@ -86,7 +86,7 @@ bool is_near(const Obstacle& obstacle, const Approach& approach, const Vec3& nod
 
 }  // namespace
 
-Encounter encounter(const StepInput& input, const Body& body, const Motion& motion) {
+Encounter encounter(const StepInput& input, const DeformableState& body, const Motion& motion) {
   const Reach reach(input, body, motion);
   const auto meets = [&](const Obstacle& obstacle, float travel) {
     if (travel < contact_margin) return false;
@@ -111,7 +111,7 @@ Encounter encounter(const StepInput& input, const Body& body, const Motion& moti
   return out;
 }
 
-void find_candidates(const StepInput& input, const Body& body, const Motion& motion, ContactSet& contacts) {
+void find_candidates(const StepInput& input, const DeformableState& body, const Motion& motion, ContactSet& contacts) {
   const std::span<const Obstacle> obstacles = input.obstacles;
   std::vector<Candidates>& out = contacts.candidate;
   out.clear();
@@ -134,7 +134,8 @@ void find_candidates(const StepInput& input, const Body& body, const Motion& mot
   }
 }
 
-bool find_contacts(const Body& body, std::span<const Obstacle> obstacles, const FramePath& frame, ContactSet& contacts) {
+bool find_contacts(const DeformableState& body, std::span<const Obstacle> obstacles, const FramePath& frame,
+                   ContactSet& contacts) {
   std::vector<Contact>& out = contacts.contact;
   out.clear();
   for (const Candidates& near : contacts.candidate) {

@@ -42,7 +42,7 @@ struct Candidates {
 };
 
 // What a contact does in a sub-step, as the solver leaves it.
-struct Held {
+struct ContactForce {
   bool active = false;
   Vec3 force = Vec3::Zero();  // of the obstacle on the node, N, car's frame
 };
@@ -66,11 +66,11 @@ struct Encounter {
   bool hit = false;
   float width = std::numeric_limits<float>::infinity();  // of the narrowest one near, m
 };
-Encounter encounter(const StepInput&, const Body&, const Motion&);
+Encounter encounter(const StepInput&, const DeformableState&, const Motion&);
 
 // The choice of candidates, once a tick, from the car's and the obstacles' steady motions. An obstacle that comes may push the
 // car on into another one within the tick: nodes are candidates of all as far away as any of them moves against the car.
-void find_candidates(const StepInput&, const Body&, const Motion&, ContactSet&);
+void find_candidates(const StepInput&, const DeformableState&, const Motion&, ContactSet&);
 
 // The way of the car's frame in one sub-step, which is `seconds` long and starts at `start` seconds into the tick.
 struct FramePath {
@@ -79,7 +79,7 @@ struct FramePath {
 };
 
 // Contacts of one sub-step. Returns false if some node met more than contacts_per_node: the deepest are kept.
-bool find_contacts(const Body&, std::span<const Obstacle>, const FramePath&, ContactSet&);
+bool find_contacts(const DeformableState&, std::span<const Obstacle>, const FramePath&, ContactSet&);
 
 // After it, where nodes are asked for their contacts.
 void index_contacts(size_t nodes, ContactSet&);

@@ -21,10 +21,10 @@ struct RoomTimer {
 // Moves the car's frame and finds what the car then meets. Returns whether the shape is to be solved: not that of a body that
 // stays at rest.
 bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   const RoomTimer room(timer, Room::contacts);
   if (!find_contacts(body, input.obstacles, {motion.pose, to, now.start, now.seconds}, scratch.contacts)) {
-    response.contact_overflow = true;
+    result.contact_overflow = true;
   }
   motion.pose = to;
   return !body.settled || is_woken(now.seconds, scratch.contacts.contact, body, body.drift);
@@ -32,7 +32,7 @@ bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& s
 
 // One sub-step. Returns the seconds that were solved.
 float step(const StepInput& input, const Substep& now, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   auto& [contacts, solver, start, backup] = scratch;
   if (!meet(input, now, path(input.mass, body, motion, now.seconds), scratch, state, timer)) {
     stay_at_rest(input, now, state);
@@ -49,10 +49,10 @@ float step(const StepInput& input, const Substep& now, Scratch& scratch, StepSta
     index_contacts(input.model.node.size(), contacts);
     hold_anchors(input.model, contacts, body);
     start = body.node;
-    const Effort effort = solve_nodal(input, contacts, h, h / now.last, solver, body);
-    response.sweeps += effort.sweeps;
-    response.work += effort.work;
-    response.residual = std::max(response.residual, effort.residual);
+    const SolveStats stats = solve_nodal(input, contacts, h, h / now.last, solver, body);
+    result.sweeps += stats.sweeps;
+    result.work += stats.work;
+    result.residual = std::max(result.residual, stats.residual);
   }
   settle(h, start, body);
   {
@@ -62,15 +62,15 @@ float step(const StepInput& input, const Substep& now, Scratch& scratch, StepSta
     spring -= taken;
     body.stored = stored_nodal(input.model, contacts, solver, body);
   }
-  react(input, now, double(h), contacts, solver.held, state);
+  react(input, now, double(h), contacts, solver.contact_forces, state);
   // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
   if (body.force.norm() * double(h) > double(settle_speed) * input.mass.mass) body.settled = false;
-  ++response.substeps;
+  ++result.substeps;
   return h;
 }
 
 void tick_nodal(const StepInput& input, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   const int count = choose_substeps(input, scratch.contacts, body, motion);
   const double h = input.seconds / count;
   spring = body.lost ? 0 : std::max(0.0, body.stored - body.owed);
@@ -82,7 +82,7 @@ void tick_nodal(const StepInput& input, Scratch& scratch, StepState& state, Time
 }
 
 void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   const std::vector<Contact>& contacts = scratch.contacts.contact;
   body.force.setZero();  // `classic` knows no forces
   body.moment.setZero();
@@ -94,11 +94,11 @@ void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Ti
   solve_classic(input.model, input.parameters, contacts, body);
   settle(float(input.seconds), scratch.start, body);
   for (const Contact& contact : contacts) {
-    response.contacts += contact.after < 0;
-    response.deepest = std::max(response.deepest, -contact.after);
+    result.contacts += contact.after < 0;
+    result.deepest = std::max(result.deepest, -contact.after);
   }
-  body.touching = response.contacts > 0;
-  response.substeps = 1;
+  body.touching = result.contacts > 0;
+  result.substeps = 1;
 }
 
 }  // namespace
@@ -106,7 +106,7 @@ void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Ti
 void ScratchDeleter::operator()(Scratch* scratch) const { delete scratch; }
 ScratchHandle make_scratch() { return ScratchHandle(new Scratch); }
 
-bool wakes(const StepInput& input, Scratch& scratch, const Body& body, Motion motion) {
+bool wakes(const StepInput& input, Scratch& scratch, const DeformableState& body, Motion motion) {
   ContactSet& contacts = scratch.contacts;
   find_candidates(input, body, motion, contacts);
   if (contacts.candidate.empty()) return body.touching;
@@ -124,10 +124,10 @@ bool wakes(const StepInput& input, Scratch& scratch, const Body& body, Motion mo
   return false;
 }
 
-Response deform(const StepInput& input, Scratch& scratch, Body& body, Motion& motion, Timer* timer) {
+StepResult deform(const StepInput& input, Scratch& scratch, DeformableState& body, Motion& motion, Timer* timer) {
   const Motion begin = motion;
   StepState state{body, motion};
-  Response& response = state.response;
+  StepResult& result = state.result;
   scratch.backup.taken = false;
   {
     const RoomTimer room(timer, Room::contacts);
@@ -135,21 +135,21 @@ Response deform(const StepInput& input, Scratch& scratch, Body& body, Motion& mo
   }
   if (scratch.contacts.candidate.empty() && body.settled && !body.touching) {
     motion.pose = advance(motion, input.mass, input.seconds);
-    return response;
+    return result;
   }
   (input.parameters.solver == Solver::classic ? tick_classic : tick_nodal)(input, scratch, state, timer);
   if (scratch.backup.taken && !is_finite(body, motion)) {
     restore(input.model, begin, scratch.backup, body, motion);
-    response = {};
-    response.recovered = true;
+    result = {};
+    result.recovered = true;
   }
-  if (response.substeps > 0) measure_reach(input.model, body);
+  if (result.substeps > 0) measure_reach(input.model, body);
   if (body.settled) body.history = {}, body.lost = false;
-  if (response.substeps > 0 && body.settled && !body.touching && revert_inverted(input.model, body)) {
+  if (result.substeps > 0 && body.settled && !body.touching && revert_inverted(input.model, body)) {
     body.settled = false;
     body.lost = true;  // or what was taken back flows again at once
   }
-  return response;
+  return result;
 }
 
 }  // namespace crumple

@@ -28,9 +28,9 @@ using ScratchHandle = std::unique_ptr<Scratch, ScratchDeleter>;
 ScratchHandle make_scratch();
 
 // Advances body and motion by input.seconds.
-Response deform(const StepInput&, Scratch&, Body&, Motion&, Timer* = nullptr);
+StepResult deform(const StepInput&, Scratch&, DeformableState&, Motion&, Timer* = nullptr);
 
 // Whether deform() will solve the settled body.
-bool wakes(const StepInput&, Scratch&, const Body&, Motion);
+bool wakes(const StepInput&, Scratch&, const DeformableState&, Motion);
 
 }  // namespace crumple

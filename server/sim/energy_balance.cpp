@@ -15,7 +15,7 @@ struct Impulse {
 
 // Of the obstacles where they press on the car, weighted by their forces; m/s, world.
 Eigen::Vector3d pressing_velocity(const StepInput& input, const Substep& now, const ContactSet& contacts,
-                                  std::span<const Held> held, const StepState& state) {
+                                  std::span<const ContactForce> held, const StepState& state) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   double forces = 0;
   for (size_t k = 0; k < held.size(); ++k) {
@@ -63,9 +63,9 @@ double balancing_share(const Mass& mass, const Impulse& impulse, const Eigen::Ve
 
 }  // namespace
 
-void react(const StepInput& input, const Substep& now, double h, const ContactSet& contacts, std::span<const Held> held,
+void react(const StepInput& input, const Substep& now, double h, const ContactSet& contacts, std::span<const ContactForce> held,
            StepState& state) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   Eigen::Vector3d force = Eigen::Vector3d::Zero(), moment = Eigen::Vector3d::Zero();
   uint32_t touching = 0;
   for (size_t k = 0; k < held.size(); ++k) {
@@ -79,7 +79,7 @@ void react(const StepInput& input, const Substep& now, double h, const ContactSe
     const double rubbed = double(std::max(0.0f, -tangential.dot(slip)));
     body.absorbed += rubbed;
     spring -= rubbed;
-    response.deepest = std::max(response.deepest, -contact.after);
+    result.deepest = std::max(result.deepest, -contact.after);
     ++touching;
   }
   // The mean of the forces at both ends of the sub-step, or the share of it that balances the energy.
@@ -92,9 +92,9 @@ void react(const StepInput& input, const Substep& now, double h, const ContactSe
   body.moment = std::min(1.0, share) * (axes * moment);
   body.touching = touching > 0;
   push(impulse.linear, impulse.angular, input.mass, motion);
-  response.impulse += impulse.linear;
-  response.angular_impulse += impulse.angular;
-  response.contacts = touching;
+  result.impulse += impulse.linear;
+  result.angular_impulse += impulse.angular;
+  result.contacts = touching;
 }
 
 }  // namespace crumple

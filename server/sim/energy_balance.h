@@ -14,6 +14,6 @@ namespace crumple {
 // After a sub-step was solved for h seconds: pushes state.motion by the contacts' forces as one impulse, adds the work that
 // friction took to body.absorbed, and keeps the forces in the body for the next sub-step. held: per contact, as the solver left
 // it. state.spring: what the body should store by what the motion gave it, J; the impulse and friction are taken from it.
-void react(const StepInput&, const Substep&, double h, const ContactSet&, std::span<const Held> held, StepState&);
+void react(const StepInput&, const Substep&, double h, const ContactSet&, std::span<const ContactForce> held, StepState&);
 
 }  // namespace crumple

@@ -28,7 +28,7 @@ struct Material {
   float plastic_limit = 1.2f;
   // Drag on a node against the car's frame per volume it stands for, N s/m^4, [0, 1e9]. Takes energy, so as small as the
   // solver still converges with.
-  float viscosity = 5e3f;
+  float drag = 5e3f;
   // Of `classic` only (thesis 3.6.3, 3.8): stiffness of both constraints [0, 1]; share of a rest value kept per tick [0, 1].
   float distance_stiffness = 1.0f;
   float volume_stiffness = 1.0f;

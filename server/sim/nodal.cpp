@@ -115,7 +115,7 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
   const Contact* contacts = &all.contact[first];
   int count = 1;
   while (first + count < all.contact.size() && contacts[count].node == node) ++count;
-  Held* held = &solver.held[first];
+  ContactForce* held = &solver.contact_forces[first];
   for (int i = 0; i < count; ++i) held[i].active = false;
 
   const Mat3 inverse = block.hessian.inverse();
@@ -148,7 +148,7 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
 
 // Several planes press with the forces that add up to the one their node lacks. Says whether they can: planes that are not
 // nearly parallel, none of which would have to pull.
-bool press_together(const Vec3& force, std::span<const Contact> contacts, std::span<Held> held) {
+bool press_together(const Vec3& force, std::span<const Contact> contacts, std::span<ContactForce> held) {
   size_t at[contacts_per_node];
   int count = 0;
   for (size_t k = 0; k < contacts.size() && count < int(contacts_per_node); ++k) {
@@ -177,16 +177,16 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
   int planes = 0;
   Vec3 shares = Vec3::Zero();  // of all planes, each what lies along its normal
   for (; last < all.contact.size() && all.contact[last].node == node; ++last) {
-    if (!solver.held[last].active) continue;
+    if (!solver.contact_forces[last].active) continue;
     const Vec3& normal = all.contact[last].normal;
     shares += std::max(0.0f, normal.dot(force)) * normal;
     ++planes;
   }
   const std::span<const Contact> own = std::span(all.contact).subspan(first, last - first);
-  if (planes > 1 && press_together(force, own, std::span(solver.held).subspan(first, last - first))) return;
+  if (planes > 1 && press_together(force, own, std::span(solver.contact_forces).subspan(first, last - first))) return;
   for (size_t k = first; k < last; ++k) {
     const Contact& contact = all.contact[k];
-    Held& held = solver.held[k];
+    ContactForce& held = solver.contact_forces[k];
     held.force.setZero();
     if (!held.active) continue;
     const float normal_force = std::max(0.0f, contact.normal.dot(force));
@@ -254,7 +254,7 @@ double update_stiffness(const Blocks& blocks, NodalSolver& solver) {
 
 // A body that has lost its shape (a state from elsewhere, a shape no crash makes) first springs back to the last one it had:
 // nothing flows until it has come to rest, or is sound again and an obstacle holds it. Flow would keep what was never there.
-void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, NodalSolver& solver, Body& body) {
+void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, NodalSolver& solver, DeformableState& body) {
   if (lost > lost_share * double(tets)) body.lost = true;
   if (lost == 0 && held) body.lost = false;
   for (Law& law : solver.law) law.room = body.lost ? 0.0f : law.limit;
@@ -306,7 +306,8 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
 
 // Sub-steps of a crash resemble one another: start from the last displacement, as much of it as lowers the energy.
 // Nodes in contact go where the obstacle takes them first.
-void predict(const Blocks& blocks, float share, std::span<const Contact> contacts, const Body& body, NodalSolver& solver) {
+void predict(const Blocks& blocks, float share, std::span<const Contact> contacts, const DeformableState& body,
+             NodalSolver& solver) {
   for (size_t i = 0; i < body.step.size(); ++i) {
     const bool awake = solver.awake[blocks.place[i] / lanes];
     solver.direction[i] = awake ? float4(share * body.step[i], 0) : Float4{};
@@ -374,7 +375,7 @@ void mark_lanes(const Blocks& blocks, std::span<const Contact> contacts, NodalSo
 
 // Who takes part in this sub-step from its start: what an obstacle may hold, and what moved in the last one. All of it where
 // that says too little: a lost shape, a body from elsewhere or partly repaired, one that an obstacle has just let go.
-void wake_blocks(const Blocks& blocks, float quiet, bool held, const Body& body, NodalSolver& solver) {
+void wake_blocks(const Blocks& blocks, float quiet, bool held, const DeformableState& body, NodalSolver& solver) {
   bool moved = false;
   for (size_t i = 0; i < body.step.size(); ++i) {
     if (body.step[i].squaredNorm() <= quiet * quiet) continue;
@@ -392,7 +393,7 @@ void wake_blocks(const Blocks& blocks, float quiet, bool held, const Body& body,
 }
 
 // What the rows of a tet's four nodes need of its gradients.
-void weigh_tet(const Body& body, const Blocks& blocks, uint32_t t, NodalSolver& solver) {
+void weigh_tet(const DeformableState& body, const Blocks& blocks, uint32_t t, NodalSolver& solver) {
   const auto& g = body.gradients[t].corner;
   const Vec3 first = -g[0] - g[1] - g[2];
   const float d01 = first.dot(g[0]), d02 = first.dot(g[1]), d03 = first.dot(g[2]);
@@ -405,7 +406,7 @@ void weigh_tet(const Body& body, const Blocks& blocks, uint32_t t, NodalSolver& 
 }
 
 // What flowed in a group of tets, into the body and the rows.
-void take_flow(const Blocks& blocks, uint32_t group, NodalSolver& solver, Body& body) {
+void take_flow(const Blocks& blocks, uint32_t group, NodalSolver& solver, DeformableState& body) {
   if (!solver.stirred[group]) return;
   const TetLanes& tet = solver.tets[group];
   for (unsigned left = solver.flowing[group]; left != 0; left &= left - 1) {
@@ -441,7 +442,7 @@ double way_size(float quiet, const NodalSolver& solver) {
 
 uint64_t sweep_work(const Model& model) { return lanes * model.blocks->group.size(); }
 
-void prepare_nodal(const Model& model, const Parameters& parameters, const Body& body, NodalSolver& solver) {
+void prepare_nodal(const Model& model, const Parameters& parameters, const DeformableState& body, NodalSolver& solver) {
   const Blocks& blocks = *model.blocks;
   const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
   static_assert(lanes == 16);
@@ -484,14 +485,15 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Body&
   }
 }
 
-Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, float share, NodalSolver& solver, Body& body) {
+SolveStats solve_nodal(const StepInput& input, const ContactSet& contacts, float h, float share, NodalSolver& solver,
+                       DeformableState& body) {
   const Model& model = input.model;
   const Parameters& parameters = input.parameters;
   const Blocks& blocks = *model.blocks;
   const uint32_t count = uint32_t(body.node.size());
   for (uint32_t i = 0; i < count; ++i) {
     const Material& material = parameters.region[model.node_region[i]];
-    const float drag = material.viscosity * model.node_mass[i] / model.mass * float(solver.volume) / h;
+    const float drag = material.drag * model.node_mass[i] / model.mass * float(solver.volume) / h;
     solver.before[i] = float4(body.node[i], drag);
     solver.node[i] = float4(body.node[i], 0);
   }
@@ -501,7 +503,7 @@ Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, 
   suspend_flow(blocks, update_stiffness(blocks, solver), model.tet.size(), held, solver, body);
   mark_lanes(blocks, contacts.contact, solver);
   wake_blocks(blocks, quiet, held, body, solver);
-  solver.held.assign(contacts.contact.size(), Held{});
+  solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
   Touch touch{contacts, solver};
   NodeView view = node_view(blocks, quiet, solver, touch);
   predict(blocks, share, contacts.contact, body, solver);
@@ -532,7 +534,7 @@ Effort solve_nodal(const StepInput& input, const ContactSet& contacts, float h, 
   return {uint32_t(done), lanes * stirred * uint64_t(done), std::sqrt(float(mean))};
 }
 
-double flow_nodal(const Model& model, NodalSolver& solver, Body& body) {
+double flow_nodal(const Model& model, NodalSolver& solver, DeformableState& body) {
   const Blocks& blocks = *model.blocks;
   const TetView view = tet_view(blocks, solver);
   double work = sum_over_groups<1>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
@@ -545,7 +547,7 @@ double flow_nodal(const Model& model, NodalSolver& solver, Body& body) {
   return work;
 }
 
-double stored_nodal(const Model& model, const ContactSet& contacts, NodalSolver& solver, const Body& body) {
+double stored_nodal(const Model& model, const ContactSet& contacts, NodalSolver& solver, const DeformableState& body) {
   const TetView view = tet_view(*model.blocks, solver);
   double sum = sum_over_groups<1>(*model.blocks, solver, [&](uint32_t first, uint32_t last, double* sums) {
     sums[0] = kernels().energy(view, first, last);

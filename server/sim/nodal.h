@@ -51,16 +51,16 @@ struct NodalSolver {
   std::vector<uint16_t> touched;                      // per block
   std::vector<uint8_t> awake;                         // per block: 0 at rest, 1 solved, 2 solved and has moved
   std::vector<uint8_t> stirred;                       // per group: one of its blocks is awake
-  std::vector<Held> held;                             // per contact
+  std::vector<ContactForce> contact_forces;           // per contact
   double volume = 0;                                  // of all tets at rest, m^3
   Anderson anderson;
   Team team;
 };
 
 // Before the first sub-step of a tick: the car's state as the kernels want it.
-void prepare_nodal(const Model&, const Parameters&, const Body&, NodalSolver&);
+void prepare_nodal(const Model&, const Parameters&, const DeformableState&, NodalSolver&);
 
-struct Effort {
+struct SolveStats {
   uint32_t sweeps = 0;
   uint64_t work = 0;   // tets visited by sweeps
   float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
@@ -68,12 +68,12 @@ struct Effort {
 
 // Solves one sub-step of h seconds. In: body as the last sub-step left it, the contacts and their index. Out: body.node, and in
 // `held` what each contact did. share: h over the last sub-step's.
-Effort solve_nodal(const StepInput&, const ContactSet&, float h, float share, NodalSolver&, Body&);
+SolveStats solve_nodal(const StepInput&, const ContactSet&, float h, float share, NodalSolver&, DeformableState&);
 
 // After it: plastic flow of the tets that are beyond yield, and the drag that the nodes took: J.
-double flow_nodal(const Model&, NodalSolver&, Body&);
+double flow_nodal(const Model&, NodalSolver&, DeformableState&);
 
 // Elastic energy of the tets and of the springs that hold the cell, J.
-double stored_nodal(const Model&, const ContactSet&, NodalSolver&, const Body&);
+double stored_nodal(const Model&, const ContactSet&, NodalSolver&, const DeformableState&);
 
 }  // namespace crumple

@@ -29,7 +29,7 @@ void reset_non_finite(Number& number) {
 }
 
 // A node, tet or edge with a number that is not finite has lost its shape: in all that it has it is as baked again.
-void reset_non_finite(const Model& model, Per per, Body& body) {
+void reset_non_finite(const Model& model, Per per, DeformableState& body) {
   std::vector<uint8_t> broken(count_of(model, per), 0);
   const auto for_each_list = [&](const auto& visit) {
     for_each_field([&](const auto& field) {
@@ -48,7 +48,7 @@ void reset_non_finite(const Model& model, Per per, Body& body) {
   });
 }
 
-void reset_non_finite(const Model& model, Body& body) {
+void reset_non_finite(const Model& model, DeformableState& body) {
   for (const Per per : {Per::node, Per::tet, Per::edge}) reset_non_finite(model, per, body);
   for_each_field([&](const auto& field) {
     if constexpr (!IsList<decltype(field)>) reset_non_finite(body.*field.value);
@@ -58,20 +58,20 @@ void reset_non_finite(const Model& model, Body& body) {
 
 }  // namespace
 
-void back_up(Body& body, Backup& backup) {
+void back_up(DeformableState& body, Backup& backup) {
   AndersonHistory history = std::exchange(body.history, {});
   backup.body = body;
   body.history = std::move(history);
   backup.taken = true;
 }
 
-bool is_finite(const Body& body, const Motion& motion) {
+bool is_finite(const DeformableState& body, const Motion& motion) {
   bool all = motion.pose.position.allFinite() && motion.velocity.allFinite() && motion.angular_velocity.allFinite();
   for (const Vec3& node : body.node) all = all && node.allFinite();
   return all && std::isfinite(body.absorbed) && std::isfinite(body.stored) && std::isfinite(body.owed);
 }
 
-void restore(const Model& model, const Motion& begin, Backup& backup, Body& body, Motion& motion) {
+void restore(const Model& model, const Motion& begin, Backup& backup, DeformableState& body, Motion& motion) {
   std::swap(body, backup.body);
   reset_non_finite(model, body);
   motion = begin;
@@ -79,7 +79,7 @@ void restore(const Model& model, const Motion& begin, Backup& backup, Body& body
   motion.angular_velocity.setZero();
 }
 
-bool revert_inverted(const Model& model, Body& body) {
+bool revert_inverted(const Model& model, DeformableState& body) {
   bool any = false, inverted = false;
   const auto take_back = [&](uint32_t tet) {
     float& kappa = body.hardening[tet];

@@ -6,7 +6,7 @@ namespace crumple {
 
 constexpr float wake_depth = 1e-4f;  // m: an obstacle this deep in a settled body wakes it
 
-void settle(float h, std::span<const Vec3> before, Body& body) {
+void settle(float h, std::span<const Vec3> before, DeformableState& body) {
   float most = 0;
   for (size_t i = 0; i < body.node.size(); ++i) {
     body.step[i] = body.node[i] - before[i];
@@ -17,7 +17,7 @@ void settle(float h, std::span<const Vec3> before, Body& body) {
   body.drift = 0;
 }
 
-bool is_woken(double h, std::span<const Contact> contacts, const Body& body, float& drift) {
+bool is_woken(double h, std::span<const Contact> contacts, const DeformableState& body, float& drift) {
   if (!body.touching) {
     return std::any_of(contacts.begin(), contacts.end(), [](const Contact& c) { return c.after < -wake_depth; });
   }
@@ -29,18 +29,18 @@ bool is_woken(double h, std::span<const Contact> contacts, const Body& body, flo
 }
 
 void stay_at_rest(const StepInput& input, const Substep& now, StepState& state) {
-  auto& [body, motion, response, spring] = state;
+  auto& [body, motion, result, spring] = state;
   if (!body.touching) {
     body.force.setZero();
     body.moment.setZero();
     return;
   }
   push(now.seconds * body.force, now.seconds * body.moment, input.mass, motion);
-  response.impulse += now.seconds * body.force;
-  response.angular_impulse += now.seconds * body.moment;
+  result.impulse += now.seconds * body.force;
+  result.angular_impulse += now.seconds * body.moment;
 }
 
-void hold_anchors(const Model& model, const ContactSet& contacts, Body& body) {
+void hold_anchors(const Model& model, const ContactSet& contacts, DeformableState& body) {
   for (size_t i = 0; i < body.node.size(); ++i) {
     if (model.node_anchored[i] && !contacts.holds(i)) {
       body.node[i] = model.node[i];

@@ -3,7 +3,7 @@
 namespace crumple {
 namespace {
 
-Vec3 displacement_of(const Model& model, const Body& body, const Skin& skin) {
+Vec3 displacement_of(const Model& model, const DeformableState& body, const Skin& skin) {
   Vec3 sum = Vec3::Zero();
   for (int k = 0; k < 4; ++k) sum += skin.weight[k] * (body.node[skin.node[k]] - model.node[skin.node[k]]);
   return sum;
@@ -11,15 +11,16 @@ Vec3 displacement_of(const Model& model, const Body& body, const Skin& skin) {
 
 }  // namespace
 
-void skin(const Model& model, const Body& body, std::span<Vec3> vertex) {
+void skin(const Model& model, const DeformableState& body, std::span<Vec3> vertex) {
   for (size_t v = 0; v < vertex.size(); ++v) vertex[v] = model.vertex[v] + displacement_of(model, body, model.skin[v]);
 }
 
-void displace(const Model& model, const Body& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
+void displace(const Model& model, const DeformableState& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
   for (size_t i = 0; i < nodes.size(); ++i) out[i] = body.node[nodes[i]] - model.node[nodes[i]];
 }
 
-void displace(const Model& model, const LevelMap& to, const Body& body, std::span<const uint32_t> nodes, std::span<Vec3> out) {
+void displace(const Model& model, const LevelMap& to, const DeformableState& body, std::span<const uint32_t> nodes,
+              std::span<Vec3> out) {
   std::vector<Vec3> moved(body.node.size());  // a node carries some ten of the other mesh
   for (size_t i = 0; i < moved.size(); ++i) moved[i] = body.node[i] - model.node[i];
   for (size_t i = 0; i < nodes.size(); ++i) {

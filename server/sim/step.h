@@ -20,7 +20,7 @@ struct StepInput {
 };
 
 // What the tick did to the rigid motion. World axes; about the centre of mass.
-struct Response {
+struct StepResult {
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();          // N s
   Eigen::Vector3d angular_impulse = Eigen::Vector3d::Zero();  // N m s
   float deepest = 0;                                          // the farthest that an obstacle pushed a node, m
@@ -35,9 +35,9 @@ struct Response {
 
 // What a tick changes.
 struct StepState {
-  Body& body;
+  DeformableState& body;
   Motion& motion;
-  Response response = {};
+  StepResult result = {};
   double spring = 0;  // J that the body should store by what the motion gave it (energy_balance.h)
 };
 

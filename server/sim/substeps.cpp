@@ -4,7 +4,7 @@ namespace crumple {
 
 constexpr float shortest_substep = 0.01f;  // of a whole one, where the first is cut to the touch
 
-int choose_substeps(const StepInput& input, const ContactSet& contacts, const Body& body, const Motion& motion) {
+int choose_substeps(const StepInput& input, const ContactSet& contacts, const DeformableState& body, const Motion& motion) {
   double closing = 0;
   for (const Candidates& near : contacts.candidate) {
     const Obstacle& obstacle = input.obstacles[near.obstacle];
@@ -24,7 +24,7 @@ int choose_substeps(const StepInput& input, const ContactSet& contacts, const Bo
   return count * times;
 }
 
-Pose path(const Mass& mass, const Body& body, const Motion& motion, double h) {
+Pose path(const Mass& mass, const DeformableState& body, const Motion& motion, double h) {
   Motion middle = motion;
   push(0.5 * h * body.force, 0.5 * h * body.moment, mass, middle);
   return advance(middle, mass, h);

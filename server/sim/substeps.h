@@ -29,11 +29,11 @@ inline int substep_count(int substeps, double seconds) {
 }
 
 // How many the tick makes, for the candidates that were found.
-int choose_substeps(const StepInput&, const ContactSet&, const Body&, const Motion&);
+int choose_substeps(const StepInput&, const ContactSet&, const DeformableState&, const Motion&);
 
 // Where the car's frame goes in a sub-step: with the velocity half-way through it, if the contacts' force stays. With the
 // velocity at its start each sub-step would create the energy impulse^2 / (2 mass).
-Pose path(const Mass&, const Body&, const Motion&, double h);
+Pose path(const Mass&, const DeformableState&, const Motion&, double h);
 
 // Share of the sub-step that is left when the first contact closes, so that a crash begins at the touch; 1 if none closes.
 float after_touch(std::span<const Contact>);

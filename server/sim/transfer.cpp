@@ -25,8 +25,8 @@ Matrix shape(const Tet& tet, const std::vector<Vec3>& node, const Gradients& gra
 
 }  // namespace
 
-Body transfer(const Model& from, const Model& to, const LevelMap& map, const Body& body) {
-  Body out = make_body(to);
+DeformableState transfer(const Model& from, const Model& to, const LevelMap& map, const DeformableState& body) {
+  DeformableState out = make_body(to);
   for (size_t i = 0; i < out.node.size(); ++i) {
     if (to.node_anchored[i]) continue;
     const Skin& s = map.node[i];

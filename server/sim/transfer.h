@@ -14,6 +14,6 @@ struct LevelMap {
 };
 
 // `classic` keeps no dents through it: its rest values are as baked again.
-Body transfer(const Model& from, const Model& to, const LevelMap&, const Body&);
+DeformableState transfer(const Model& from, const Model& to, const LevelMap&, const DeformableState&);
 
 }  // namespace crumple

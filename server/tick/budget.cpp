@@ -75,7 +75,7 @@ double saved(const Share& share) { return share.work(share.plan) - share.work(le
 // What the car asks for.
 Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
   const int most = car.parameters.iterations, substeps = car.parameters.substeps;
-  const Response& last = car.response;
+  const StepResult& last = car.result;
   const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
   const double halved =
       last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
@@ -104,8 +104,8 @@ void allow(Instance& car, const Plan& plan) {
 
 }  // namespace
 
-double work_of(const Model& model, const Response& response) {
-  return double(response.work) + (substep_costs * response.substeps + tick_costs) * double(model.tet.size());
+double work_of(const Model& model, const StepResult& result) {
+  return double(result.work) + (substep_costs * result.substeps + tick_costs) * double(model.tet.size());
 }
 
 double crash_work(const World& world, const Instance& car, const Car& level) {
@@ -118,7 +118,7 @@ void ration(World& world, const std::vector<Instance*>& cars) {
   world.tally.shed = 0;
   std::vector<Share> shares;
   double asked = 0, worst = 0;
-  for (const Instance* car : cars) worst = std::max(worst, double(car->response.residual));
+  for (const Instance* car : cars) worst = std::max(worst, double(car->result.residual));
   if (worst == 0) worst = 1;
   for (size_t i = 0; i < cars.size() && world.budget > 0; ++i) {
     Instance& car = *cars[i];

@@ -13,7 +13,7 @@ namespace crumple {
 Message budget_message(uint64_t visits);
 
 // What a tick of a car has come to, in tet visits, and what it would come to if the car crashed on this level.
-double work_of(const Model&, const Response&);
+double work_of(const Model&, const StepResult&);
 double crash_work(const World&, const Instance&, const Car& level);
 // Sets the sub-steps and sweeps of each car for this tick.
 void ration(World&, const std::vector<Instance*>&);

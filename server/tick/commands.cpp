@@ -3,9 +3,9 @@
 
 #include <algorithm>
 
-#include "tick/given.h"
 #include "tick/inbox.h"
 #include "tick/state.h"
+#include "tick/uploads.h"
 #include "wire/encode.h"
 
 namespace crumple {
@@ -32,7 +32,7 @@ Refusal unknown_asset(const std::string& order, const std::string& asset) {
           order + ": asset " + asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
 }
 
-Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
+std::optional<Refusal> spawn(World& world, const std::string& id, const SpawnOrder& order) {
   if (world.cars.contains(id)) return Refusal{Reason::already_there, "spawn: car " + id + " lives already; despawn it first"};
   if (world.cars.size() >= world.limits.cars) {
     return Refusal{Reason::too_many_cars, "spawn: car " + id + " would be one more than the " +
@@ -59,7 +59,7 @@ Verdict spawn(World& world, const std::string& id, const SpawnOrder& order) {
   return std::nullopt;
 }
 
-Verdict obey_order(World& world, const Target& target, DespawnOrder&&, Bytes&) {
+std::optional<Refusal> obey_order(World& world, const Target& target, DespawnOrder&&, Bytes&) {
   const std::string host = target.car.host, id = target.id;
   if (std::erase(world.result.spawned, id) == 0) world.result.despawned.push_back(id);
   std::erase(world.result.replaced, id);
@@ -69,13 +69,13 @@ Verdict obey_order(World& world, const Target& target, DespawnOrder&&, Bytes&) {
   return std::nullopt;
 }
 
-Verdict obey_order(World&, const Target& target, RepairOrder&& order, Bytes&) {
+std::optional<Refusal> obey_order(World&, const Target& target, RepairOrder&& order, Bytes&) {
   repair(target.car.car->model, order.amount, target.car.body);
   renew(target.car);
   return std::nullopt;
 }
 
-Verdict obey_order(World&, const Target& target, ParametersOrder&& order, Bytes&) {
+std::optional<Refusal> obey_order(World&, const Target& target, ParametersOrder&& order, Bytes&) {
   const auto regions = int(target.car.car->regions.size());
   if (order.region >= regions) {
     return Refusal{Reason::out_of_range, "parameters.region is " + std::to_string(order.region) +
@@ -89,12 +89,12 @@ Verdict obey_order(World&, const Target& target, ParametersOrder&& order, Bytes&
   return std::nullopt;
 }
 
-Verdict obey_order(World&, const Target& target, SaveOrder&&, Bytes& state) {
+std::optional<Refusal> obey_order(World&, const Target& target, SaveOrder&&, Bytes& state) {
   state = encode_state(target.car.car->hash, target.car.body);
   return std::nullopt;
 }
 
-Verdict obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&) {
+std::optional<Refusal> obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&) {
   const Levels& levels = *target.car.levels;
   const auto level = std::find_if(levels.begin(), levels.end(), [&](const auto& car) { return car->hash == order.asset; });
   if (level == levels.end()) {
@@ -105,7 +105,7 @@ Verdict obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&
   if (auto sentence = refuse_state(model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};
   target.car.car = *level;
   target.car.level_tick = world.tick;
-  Body& body = target.car.body;
+  DeformableState& body = target.car.body;
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
   measure_reach(model, body);
@@ -113,7 +113,7 @@ Verdict obey_order(World& world, const Target& target, LoadOrder&& order, Bytes&
   return std::nullopt;
 }
 
-Verdict obey_order(World& world, const Target& target, ReplaceOrder&& order, Bytes&) {
+std::optional<Refusal> obey_order(World& world, const Target& target, ReplaceOrder&& order, Bytes&) {
   const Levels* levels = find_asset(world, order.asset);
   if (!levels) return unknown_asset("replace", order.asset);
   Instance& car = target.car;
@@ -121,18 +121,18 @@ Verdict obey_order(World& world, const Target& target, ReplaceOrder&& order, Byt
   car.car = levels->front();
   car.level_tick = 0;
   car.body = make_body(car.car->model);
-  car.response = {};
+  car.result = {};
   renew(car);
   if (std::find(world.result.replaced.begin(), world.result.replaced.end(), target.id) == world.result.replaced.end())
     world.result.replaced.push_back(target.id);
   return std::nullopt;
 }
 
-Verdict obey_order(World&, const Target&, SpawnOrder&&, Bytes&) { return std::nullopt; }
+std::optional<Refusal> obey_order(World&, const Target&, SpawnOrder&&, Bytes&) { return std::nullopt; }
 
 }  // namespace
 
-Verdict obey(World& world, const std::string& id, Order&& order, Bytes& state) {
+std::optional<Refusal> obey(World& world, const std::string& id, Order&& order, Bytes& state) {
   if (const auto* spawn_order = std::get_if<SpawnOrder>(&order)) return spawn(world, id, *spawn_order);
   const auto found = world.cars.find(id);
   if (found == world.cars.end()) {

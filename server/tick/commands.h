@@ -9,6 +9,6 @@
 namespace crumple {
 
 // state: the answer to Save.
-[[nodiscard]] Verdict obey(World&, const std::string& car, Order&&, Bytes& state);
+[[nodiscard]] std::optional<Refusal> obey(World&, const std::string& car, Order&&, Bytes& state);
 
 }  // namespace crumple

@@ -84,7 +84,7 @@ void field(File& file, Is<AndersonHistory> auto& history) {
   each_field(history, [&](auto& each) { field(file, each); });
 }
 template <class File>
-void field(File& file, Is<Body> auto& body) {
+void field(File& file, Is<DeformableState> auto& body) {
   for_each_field([&](const auto& each) { field(file, body.*each.value); });
 }
 template <class File>
@@ -108,7 +108,7 @@ void field(File& file, Is<Instance> auto& car) {
   field(file, car.touched_tick, car.sweeps, car.substeps, car.fresh);
   if constexpr (File::sums) file.raw(&car.hashes, sizeof car.hashes);
   for (auto& told : car.told) field(file, told);
-  field(file, car.response.sweeps, car.response.substeps, car.response.work, car.response.residual);
+  field(file, car.result.sweeps, car.result.substeps, car.result.work, car.result.residual);
 }
 
 // tick, budget, hosts and obstacles.

@@ -56,7 +56,7 @@ uint64_t hash(const World& world) {
   Sum sum;
   field(sum, world.rate, world.quantum);
   field(sum, world);
-  for (const Levels& levels : world.given) {
+  for (const Levels& levels : world.uploaded) {
     field(sum, levels.front()->hash);
   }
   for (const auto& [id, car] : world.cars) {

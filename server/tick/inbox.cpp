@@ -7,9 +7,9 @@
 
 #include "protocol/asset.h"
 #include "tick/commands.h"
-#include "tick/given.h"
 #include "tick/health.h"
 #include "tick/state.h"
+#include "tick/uploads.h"
 #include "wire/encode.h"
 
 namespace crumple {
@@ -22,13 +22,13 @@ Refusal stale(const char* what, uint64_t sequence, uint64_t last) {
 }
 
 // Who may not speak is refused before anything is read: whoever invents hosts costs a look at their names.
-Verdict take_poses(World& world, const std::string& host_id, const Bytes& bytes) {
+std::optional<Refusal> take_poses(World& world, const std::string& host_id, const Bytes& bytes) {
   const auto found = world.hosts.find(host_id);
   if (found == world.hosts.end()) {
     return Refusal{Reason::unknown_host, "poses: host " + host_id + " has no car here; spawn one that names it first"};
   }
   Intents intents;
-  if (Verdict refusal = decode(bytes, world.limits, intents)) return refusal;
+  if (std::optional<Refusal> refusal = decode(bytes, world.limits, intents)) return refusal;
   Host& host = found->second;
   if (host.poses_sequence && intents.sequence <= *host.poses_sequence) {
     return stale("poses", intents.sequence, *host.poses_sequence);
@@ -63,13 +63,13 @@ void replace_obstacles(World& world, const Host& of, std::vector<Obstacle>&& obs
   world.obstacles.insert(at, std::make_move_iterator(obstacles.begin()), std::make_move_iterator(obstacles.end()));
 }
 
-Verdict take_obstacles(World& world, const std::string& host_id, const Bytes& bytes) {
+std::optional<Refusal> take_obstacles(World& world, const std::string& host_id, const Bytes& bytes) {
   if (world.hosts.size() >= world.limits.hosts && !world.hosts.contains(host_id)) {
     return Refusal{Reason::too_many_hosts, "obstacles: host " + host_id + " would be one more than the " +
                                                std::to_string(world.limits.hosts) + " hosts that are allowed"};
   }
   ObstacleList list;
-  if (Verdict refusal = decode(bytes, world.limits, list)) return refusal;
+  if (std::optional<Refusal> refusal = decode(bytes, world.limits, list)) return refusal;
   Host* host = find_or_add_host(world, host_id);
   if (host->obstacles_sequence && list.sequence <= *host->obstacles_sequence) {
     return stale("obstacles", list.sequence, *host->obstacles_sequence);
@@ -83,33 +83,33 @@ Verdict take_obstacles(World& world, const std::string& host_id, const Bytes& by
   return std::nullopt;
 }
 
-Verdict take_budget(World& world, const Bytes& bytes) {
+std::optional<Refusal> take_budget(World& world, const Bytes& bytes) {
   Budget budget;
-  if (Verdict refusal = decode(bytes, world.limits, budget)) return refusal;
+  if (std::optional<Refusal> refusal = decode(bytes, world.limits, budget)) return refusal;
   world.budget = budget.work;
   return std::nullopt;
 }
 
 // Before it is checked whole, which is long.
-Verdict take_asset(World& world, const Bytes& bytes) {
-  GivenAsset asset;
-  if (Verdict refusal = decode(bytes, world.limits, asset)) return refusal;
-  if (asset.car.size() > given_most) {
+std::optional<Refusal> take_asset(World& world, const Bytes& bytes) {
+  UploadedAsset asset;
+  if (std::optional<Refusal> refusal = decode(bytes, world.limits, asset)) return refusal;
+  if (asset.car.size() > largest_upload) {
     return Refusal{Reason::too_large, "asset: a baked car of " + std::to_string(asset.car.size()) + " bytes is more than the " +
-                                          std::to_string(given_most) +
+                                          std::to_string(largest_upload) +
                                           " that may be given while the scene runs; give its file to `crumple serve --car`"};
   }
   if (find_asset(world, hash_of(asset.car.data(), asset.car.size()))) return std::nullopt;
   try {
-    return give(world, read_car(asset.car, "asset"));
+    return upload(world, read_car(asset.car, "asset"));
   } catch (const std::runtime_error& error) {
     return Refusal{Reason::malformed, error.what()};
   }
 }
 
-Verdict take_command(World& world, const std::string& car, const Bytes& bytes, Bytes& state) {
+std::optional<Refusal> take_command(World& world, const std::string& car, const Bytes& bytes, Bytes& state) {
   Order order;
-  if (Verdict refusal = decode(bytes, world.limits, order)) return refusal;
+  if (std::optional<Refusal> refusal = decode(bytes, world.limits, order)) return refusal;
   return obey(world, car, std::move(order), state);
 }
 
@@ -121,7 +121,7 @@ void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& 
     const Key key = parse_key(message.key).value_or(Key{});
     const std::string id(key.id);
     Bytes state;
-    Verdict refusal;
+    std::optional<Refusal> refusal;
     bool command = false;
     switch (key.channel) {
       case Channel::poses:
@@ -163,8 +163,8 @@ void release_host(World& world, const std::string& id) {
   if (host.cars == 0 && host.obstacles == 0) world.hosts.erase(id);
 }
 
-void answer(const World& world, const std::string& key, uint64_t ticket, const Verdict& refusal, const Bytes& state,
-            bool failed, Outbox& outbox) {
+void answer(const World& world, const std::string& key, uint64_t ticket, const std::optional<Refusal>& refusal,
+            const Bytes& state, bool failed, Outbox& outbox) {
   if (ticket != 0) outbox.push_back({key, encode_answer(world.tick, refusal, state), ticket, failed});
 }
 

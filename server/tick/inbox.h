@@ -29,6 +29,7 @@ Host* find_or_add_host(World&, const std::string& id);
 // Drops a host that has neither cars nor obstacles.
 void release_host(World&, const std::string& id);
 // Answers a query with a refusal or with ok; a sample (ticket 0) gets no answer. state: of a car that was saved.
-void answer(const World&, const std::string& key, uint64_t ticket, const Verdict&, const Bytes& state, bool failed, Outbox&);
+void answer(const World&, const std::string& key, uint64_t ticket, const std::optional<Refusal>&, const Bytes& state,
+            bool failed, Outbox&);
 
 }  // namespace crumple

@@ -106,7 +106,7 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
       if (car.ahead == Ahead::hit && car.body.settled) {
         left -= crash_work(world, car, *car.car);
       } else if (!car.body.settled) {
-        left -= work_of(car.car->model, car.response);
+        left -= work_of(car.car->model, car.result);
       }
       continue;
     }

@@ -10,7 +10,7 @@
 #include <stdexcept>
 
 #include "tick/fields.h"
-#include "tick/given.h"
+#include "tick/uploads.h"
 #include "wire/check.h"
 
 namespace crumple {
@@ -83,7 +83,7 @@ void check(const World& world, const Instance& car) {
   good = good && std::isfinite(mass.mass) && mass.mass > 0 && finite(mass.inertia) && mass.inertia.minCoeff() > 0;
   for (const ImpulseLog::Change& change : car.log.changes)
     good = good && finite(change.velocity) && finite(change.angular_velocity);
-  const Response& last = car.response;  // what the budget divides and doubles
+  const StepResult& last = car.result;  // what the budget divides and doubles
   good = good && last.sweeps <= uint64_t{1000} * last.substeps && last.work <= uint64_t{max_tets} * last.sweeps;
   good = good && last.residual >= 0;
   const size_t shown = 3 * car.levels->front()->skin_node.size();
@@ -170,7 +170,7 @@ void clear(World& world) {
   world.cars.clear();
   world.hosts.clear();
   world.obstacles.clear();
-  world.given.clear();
+  world.uploaded.clear();
   world.tick = world.budget = 0;
 }
 
@@ -192,9 +192,9 @@ std::vector<std::byte> save_world(const World& world) {
   const std::vector<std::string> assets = assets_of(world);
   file.resize(assets);
   for (const std::string& asset : assets) field(file, asset);
-  const uint64_t given = world.given.size(), cars = world.cars.size();
+  const uint64_t given = world.uploaded.size(), cars = world.cars.size();
   field(file, given);
-  for (const Levels& levels : world.given) {
+  for (const Levels& levels : world.uploaded) {
     const std::vector<std::byte> bytes(levels.front()->bytes.begin(), levels.front()->bytes.end());
     field(file, bytes);
   }
@@ -235,7 +235,7 @@ bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
     for (uint64_t k = 0; k < given; ++k) {
       std::vector<std::byte> car;
       field(file, car);
-      if (give(world, read_car(car, "the snapshot's asset"))) refuse("it has more assets than were given");
+      if (upload(world, read_car(car, "the snapshot's asset"))) refuse("it has more assets than were given");
     }
     field(file, world);
     field(file, cars);

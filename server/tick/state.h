@@ -36,7 +36,7 @@ struct Instance {
   std::string host;                // whose poses move it
   Mass mass;
   Parameters parameters;
-  Body body;
+  DeformableState body;
   Motion motion;
   ImpulseLog log;
   uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
@@ -49,7 +49,7 @@ struct Instance {
   // The last ticks', from which this one's share of the budget follows.
   uint16_t sweeps = 0;    // of a sub-step, that it may make at most
   uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
-  Response response;
+  StepResult result;
   uint8_t fresh = 0;  // ticks in which more of it may take part than did in the last one: it is being woken
   // The last tick could change nothing of it, and nothing that it depends on has changed since: nor does this one.
   bool idle = false;
@@ -105,7 +105,7 @@ struct World {
   Limits limits;
   uint64_t budget = 0;                                                 // tet visits a tick; 0: as many as are asked for
   std::map<std::string, Levels> assets;                                // by hash
-  std::list<Levels> given;                                             // by who plays, the oldest first: of one level each
+  std::list<Levels> uploaded;                                          // by who plays, the oldest first: of one level each
   std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // by hashes: from, to
   uint64_t tick = 0;                                                   // ticks done, or the one being done
   std::map<std::string, Instance> cars;

@@ -42,8 +42,8 @@ class RoomTimer final : public Timer {
 static_assert(size_t(Stage::solve) == size_t(Stage::contacts) + size_t(Room::solve));
 static_assert(size_t(Stage::flow) == size_t(Stage::contacts) + size_t(Room::flow));
 
-bool touched(const Response& response) {
-  return response.contacts > 0 || response.deepest > 0 || !response.impulse.isZero(0) || !response.angular_impulse.isZero(0);
+bool touched(const StepResult& result) {
+  return result.contacts > 0 || result.deepest > 0 || !result.impulse.isZero(0) || !result.angular_impulse.isZero(0);
 }
 
 // Where the tick starts from: the motion after what the host has sent.
@@ -61,15 +61,15 @@ void move(const World& world, Instance& car, Worker& worker) {
   Parameters parameters = car.parameters;
   parameters.iterations = car.sweeps;
   parameters.substeps = car.substeps;
-  car.response = deform({car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body,
-                        car.motion, world.clock ? &timer : nullptr);
+  car.result = deform({car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body,
+                      car.motion, world.clock ? &timer : nullptr);
   const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
                                   car.motion.angular_velocity - before.angular_velocity};
   if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) {
     car.log.add(change);
     car.hashes.log = hash(car.log);
   }
-  if (touched(car.response)) car.touched_tick = world.tick;
+  if (touched(car.result)) car.touched_tick = world.tick;
 }
 
 // What the nodes that the skin of the spawned car uses are displaced by; where the body is on another level, by where that one
@@ -116,7 +116,7 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
       world.budget > 0 && car.body.settled &&
       wakes({car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body, car.motion);
   look_ahead(world, car, woken);
-  if (!car.body.settled && car.response.sweeps > 0) {
+  if (!car.body.settled && car.result.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
   } else {
     car.fresh = !car.body.settled || woken ? waking : 0;
@@ -124,7 +124,7 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
 }
 
 // What may change of a body that is not solved: an obstacle that it rests against goes on or leaves.
-auto of_rest(const Body& body) {
+auto of_rest(const DeformableState& body) {
   return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment);
 }
 
@@ -138,7 +138,7 @@ void advance_car(const World& world, Instance& car, Worker& worker) {
   const auto before = of_rest(car.body);
   move(world, car, worker);
   car.news = {};
-  const bool same_shape = resting && car.response.substeps == 0 && !car.response.recovered;
+  const bool same_shape = resting && car.result.substeps == 0 && !car.result.recovered;
   if (!same_shape) show(world, car, worker);
   if (!same_shape || of_rest(car.body) != before) car.hashes.body = hash(car.body);
   car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
@@ -164,14 +164,14 @@ void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_on
 void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
   tally.work = 0;
   for (const Instance* car : cars) {
-    const Response& response = car->response;
-    tally.contact_overflows += response.contact_overflow;
-    tally.recoveries += response.recovered;
-    if (response.substeps > 0) tally.work += uint64_t(work_of(car->car->model, response));
-    if (response.sweeps == 0) continue;
+    const StepResult& result = car->result;
+    tally.contact_overflows += result.contact_overflow;
+    tally.recoveries += result.recovered;
+    if (result.substeps > 0) tally.work += uint64_t(work_of(car->car->model, result));
+    if (result.sweeps == 0) continue;
     ++tally.solved;
-    tally.residual_sum += double(response.residual);
-    tally.residual_worst = std::max(tally.residual_worst, double(response.residual));
+    tally.residual_sum += double(result.residual);
+    tally.residual_worst = std::max(tally.residual_worst, double(result.residual));
   }
   tally.most_work = std::max(tally.most_work, tally.work);
   tally.work_shed += tally.shed;
@@ -185,7 +185,7 @@ void open_arena(World& world, int threads) {
 
 // A tick of an undamaged car with a wall at its nose. Returns its work.
 uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
-  Body body = make_body(car.model);
+  DeformableState body = make_body(car.model);
   Motion motion;
   motion.velocity.x() = 15;  // m/s
   float nose = 0;
@@ -238,7 +238,7 @@ void tell_hosts(const World& world, Outbox& outbox) {
   for (const auto& [id, car] : world.cars) {
     const bool lately = car.touched_tick != 0 && world.tick - car.touched_tick <= reaction_echo;
     if (!lately && car.body.settled) continue;
-    reactions[car.host].push_back({id, car.motion, car.response, car.body.absorbed, car.body.stored});
+    reactions[car.host].push_back({id, car.motion, car.result, car.body.absorbed, car.body.stored});
   }
   for (const auto& [host, cars] : reactions) {
     outbox.push_back({"host/" + host + "/reactions", encode_reactions(world.tick, double(world.tick) / world.rate, cars)});

@@ -24,7 +24,7 @@ struct Place {
 
 struct Checker {
   const Limits& limits;
-  Verdict refusal = std::nullopt;
+  std::optional<Refusal> refusal = std::nullopt;
 
   void refuse(Reason, const Place&, const char* field, const std::string& fact);
   void finite(const Place&, const char* field, double);

@@ -136,10 +136,10 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   };
   take("young_modulus", from.young_modulus(), &Material::young_modulus);
   take("poisson_ratio", from.poisson_ratio(), &Material::poisson_ratio);
-  take("yield", from.yield(), &Material::yield_strain);
+  take("yield_strain", from.yield_strain(), &Material::yield_strain);
   take("hardening", from.hardening(), &Material::hardening);
   take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
-  take("viscosity", from.viscosity(), &Material::viscosity);
+  take("drag", from.drag(), &Material::drag);
   take("distance_stiffness", from.distance_stiffness(), &Material::distance_stiffness);
   take("volume_stiffness", from.volume_stiffness(), &Material::volume_stiffness);
   take("plasticity", from.plasticity(), &Material::plasticity);
@@ -170,7 +170,7 @@ LoadOrder read(const schema::Load& from, Checker& check) {
                  "has " + std::to_string(state->gradients()->size()) + " numbers; 9 per tet are needed");
     return order;
   }
-  Body& body = order.state;
+  DeformableState& body = order.state;
   for_each_saved_field([&](auto field, auto get, auto) { take((state->*get)(), body.*field); });
   body.absorbed = check.energy({"load.state"}, "absorbed", body.absorbed);
   body.stored = check.energy({"load.state"}, "stored", body.stored);
@@ -179,7 +179,7 @@ LoadOrder read(const schema::Load& from, Checker& check) {
 
 }  // namespace
 
-Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Intents& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, Intents& out) {
   Checker check{limits};
   const auto* from = checked<schema::Poses>(bytes, "poses", "Poses", limits.cars, check);
   if (!from) return check.refusal;
@@ -201,7 +201,7 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Intents& 
   return check.refusal;
 }
 
-Verdict decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleList& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleList& out) {
   Checker check{limits};
   const auto* from = checked<schema::Obstacles>(bytes, "obstacles", "Obstacles", limits.obstacles_per_host, check);
   if (!from) return check.refusal;
@@ -245,7 +245,7 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, ObstacleL
   return check.refusal;
 }
 
-Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, Order& out) {
   Checker check{limits};
   const auto* from = checked<schema::Command>(bytes, "command", "Command", 1, check);
   if (!from) return check.refusal;
@@ -271,20 +271,20 @@ Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Order& ou
   return check.refusal;
 }
 
-Verdict decode(std::span<const std::byte> bytes, const Limits& limits, Budget& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, Budget& out) {
   Checker check{limits};
   if (const auto* from = checked<schema::Budget>(bytes, "budget", "Budget", 1, check)) out = {from->work()};
   return check.refusal;
 }
 
-Verdict decode(std::span<const std::byte> bytes, const Limits& limits, GivenAsset& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, UploadedAsset& out) {
   Checker check{limits};
   if (const auto* from = checked<schema::Asset>(bytes, "asset", "Asset", 1, check))
     out.car = std::as_bytes(std::span(from->car()->data(), from->car()->size()));
   return check.refusal;
 }
 
-Verdict decode(std::span<const std::byte> bytes, TickEnd& out) {
+std::optional<Refusal> decode(std::span<const std::byte> bytes, TickEnd& out) {
   const Limits limits;
   Checker check{limits};
   if (const auto* from = checked<schema::TickEnd>(bytes, "tick end", "TickEnd", 1, check)) {

@@ -60,7 +60,7 @@ struct ParametersOrder {
 struct SaveOrder {};
 struct LoadOrder {
   std::string asset;
-  Body state;  // all but step, reach and impulses; sizes are not checked yet
+  DeformableState state;  // all but step, reach and impulses; sizes are not checked yet
 };
 struct ReplaceOrder {
   std::string asset;
@@ -72,22 +72,22 @@ struct Budget {
 };
 
 // A baked car, not looked at yet: a part of the message.
-struct GivenAsset {
+struct UploadedAsset {
   std::span<const std::byte> car;
 };
 
 // Bytes must be aligned to 8. On a refusal what came out is meaningless.
-[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Intents&);
-[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, ObstacleList&);
-[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Order&);
-[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, Budget&);
-[[nodiscard]] Verdict decode(std::span<const std::byte>, const Limits&, GivenAsset&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Intents&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, ObstacleList&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Order&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Budget&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, UploadedAsset&);
 
 // Of a recording.
 struct TickEnd {
   uint64_t tick = 0, hash = 0, lost_inputs = 0, lost_outputs = 0, inputs = 0;
 };
-[[nodiscard]] Verdict decode(std::span<const std::byte>, TickEnd&);
+[[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, TickEnd&);
 
 // The change made; ranges are out_of_range()'s to check.
 void apply(const ParametersOrder&, Parameters&);

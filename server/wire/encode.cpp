@@ -44,18 +44,18 @@ Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction
   std::vector<flatbuffers::Offset<schema::Reaction>> cars;
   for (const CarReaction& reaction : reactions) {
     const auto car = builder.CreateString(reaction.car);
-    const auto impulse = vec3(reaction.response.impulse), angular_impulse = vec3(reaction.response.angular_impulse);
+    const auto impulse = vec3(reaction.result.impulse), angular_impulse = vec3(reaction.result.angular_impulse);
     const auto velocity = vec3(reaction.motion.velocity), angular_velocity = vec3(reaction.motion.angular_velocity);
     const auto pose = wire_pose(reaction.motion.pose);
     cars.push_back(schema::CreateReaction(builder, car, &impulse, &angular_impulse, &pose, &velocity, &angular_velocity,
-                                          reaction.absorbed, reaction.stored, reaction.response.deepest,
-                                          reaction.response.contacts));
+                                          reaction.absorbed, reaction.stored, reaction.result.deepest,
+                                          reaction.result.contacts));
   }
   const auto list = builder.CreateVector(cars);
   return finish(builder, schema::CreateReactions(builder, tick, time, list));
 }
 
-Bytes encode_answer(uint64_t tick, const Verdict& refusal, const Bytes& state) {
+Bytes encode_answer(uint64_t tick, const std::optional<Refusal>& refusal, const Bytes& state) {
   flatbuffers::FlatBufferBuilder builder(state.size() + 256);
   const auto sentence = refusal ? builder.CreateString(refusal->sentence) : flatbuffers::Offset<flatbuffers::String>();
   const auto bytes = state.empty() ? flatbuffers::Offset<flatbuffers::Vector<uint8_t>>()
@@ -63,7 +63,7 @@ Bytes encode_answer(uint64_t tick, const Verdict& refusal, const Bytes& state) {
   return finish(builder, schema::CreateAnswer(builder, !refusal, sentence, tick, bytes));
 }
 
-Bytes encode_state(const std::string& asset, const Body& body) {
+Bytes encode_state(const std::string& asset, const DeformableState& body) {
   flatbuffers::FlatBufferBuilder builder(body.node.size() * 12 + body.gradients.size() * 44 + body.edge_rest.size() * 4 + 256);
   const auto name = builder.CreateString(asset);
   std::vector<flatbuffers::uoffset_t> lists;

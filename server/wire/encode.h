@@ -14,13 +14,13 @@ namespace crumple {
 struct CarReaction {
   std::string car;
   Motion motion;  // at the end of the tick
-  Response response;
+  StepResult result;
   double absorbed = 0, stored = 0;  // J
 };
 Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction>&);
 
-Bytes encode_answer(uint64_t tick, const Verdict&, const Bytes& state = {});
-Bytes encode_state(const std::string& asset, const Body&);
+Bytes encode_answer(uint64_t tick, const std::optional<Refusal>&, const Bytes& state = {});
+Bytes encode_state(const std::string& asset, const DeformableState&);
 Bytes encode_tick_end(const TickEnd&);
 Bytes encode_budget(uint64_t work);
 

@@ -37,12 +37,10 @@ inline constexpr std::array reason_names = {
 inline constexpr size_t reason_count = reason_names.size();
 static_assert(reason_count == size_t(Reason::bad_state) + 1);
 
+// Why an input is refused. What may be refused returns std::optional<Refusal>: empty if the input is taken.
 struct Refusal {
   Reason reason;
   std::string sentence;
 };
-
-// Nothing where all is well.
-using Verdict = std::optional<Refusal>;
 
 }  // namespace crumple

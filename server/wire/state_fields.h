@@ -6,18 +6,18 @@
 
 namespace crumple {
 
-// Calls visit(field of Body, State's accessor, StateBuilder's adder) for each.
+// Calls visit(field of DeformableState, State's accessor, StateBuilder's adder) for each.
 template <class Visit>
 constexpr void for_each_saved_field(const Visit& visit) {
   using schema::State, schema::StateBuilder;
-  visit(&Body::node, &State::node, &StateBuilder::add_node);
-  visit(&Body::gradients, &State::gradients, &StateBuilder::add_gradients);
-  visit(&Body::hardening, &State::hardening, &StateBuilder::add_hardening);
-  visit(&Body::edge_rest, &State::edge_rest, &StateBuilder::add_edge_rest);
-  visit(&Body::tet_rest, &State::tet_rest, &StateBuilder::add_tet_rest);
-  visit(&Body::absorbed, &State::absorbed, &StateBuilder::add_absorbed);
-  visit(&Body::stored, &State::stored, &StateBuilder::add_stored);
-  visit(&Body::settled, &State::settled, &StateBuilder::add_settled);
+  visit(&DeformableState::node, &State::node, &StateBuilder::add_node);
+  visit(&DeformableState::gradients, &State::gradients, &StateBuilder::add_gradients);
+  visit(&DeformableState::hardening, &State::hardening, &StateBuilder::add_hardening);
+  visit(&DeformableState::edge_rest, &State::edge_rest, &StateBuilder::add_edge_rest);
+  visit(&DeformableState::tet_rest, &State::tet_rest, &StateBuilder::add_tet_rest);
+  visit(&DeformableState::absorbed, &State::absorbed, &StateBuilder::add_absorbed);
+  visit(&DeformableState::stored, &State::stored, &StateBuilder::add_stored);
+  visit(&DeformableState::settled, &State::settled, &StateBuilder::add_settled);
 }
 
 // The body's own list says which they are.
@@ -28,6 +28,6 @@ static_assert(
       for_each_saved_field([&](auto...) { ++here; });
       return marked == here;
     }(),
-    "a field of Body is marked `saved` and is not in for_each_saved_field, or the other way round");
+    "a field of DeformableState is marked `saved` and is not in for_each_saved_field, or the other way round");
 
 }  // namespace crumple

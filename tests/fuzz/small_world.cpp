@@ -7,11 +7,11 @@
 #include "recording/recording.h"
 #include "schema/message_generated.h"
 #include "tick/budget.h"
-#include "tick/given.h"
 #include "tick/hash.h"
 #include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "tick/state.h"
+#include "tick/uploads.h"
 #include "viewer/surface.h"
 
 namespace crumple::fuzz {
@@ -73,7 +73,7 @@ const std::shared_ptr<const Car>& coarse_car() {
 }
 
 // Of its own surface, so that it is no level of the others.
-const std::shared_ptr<const Car>& given_car() {
+const std::shared_ptr<const Car>& uploaded_car() {
   static const auto car = read_car(box_car_bytes(cells, 1100, 4, cell), "given");
   return car;
 }
@@ -82,7 +82,7 @@ Bytes with_assets(Input input) {
   Bytes bytes(bytes_of(input).begin(), bytes_of(input).end());
   replace(fine_asset, fine_car()->hash, bytes);
   replace(coarse_asset, coarse_car()->hash, bytes);
-  replace(given_asset, given_car()->hash, bytes);
+  replace(uploaded_asset, uploaded_car()->hash, bytes);
   return bytes;
 }
 
@@ -90,7 +90,7 @@ std::vector<uint8_t> without_assets(std::span<const std::byte> from) {
   Bytes bytes(from.begin(), from.end());
   replace(fine_car()->hash, fine_asset, bytes);
   replace(coarse_car()->hash, coarse_asset, bytes);
-  replace(given_car()->hash, given_asset, bytes);
+  replace(uploaded_car()->hash, uploaded_asset, bytes);
   const Input out = input_of(bytes);
   return {out.begin(), out.end()};
 }
@@ -114,7 +114,7 @@ void advance(World& world, Inbox inbox) {
 
 void expect_saved(const World& world) {
   const WorldHandle copy = small_world();
-  for (const auto& car : given_cars(world)) expect(!give(*copy, car), "a world has room for what another was given");
+  for (const auto& car : uploaded_cars(world)) expect(!upload(*copy, car), "a world has room for what another was given");
   load_world(save_world(world), *copy);
   expect(hash(*copy) == hash(world), "a world that was saved and loaded is the same");
 }

@@ -14,13 +14,13 @@ namespace crumple::fuzz {
 // In an input these stand for the hashes of the two cars and of one that may be given, which are other ones after a change of
 // how cars are baked.
 inline constexpr char fine_asset[] = "0000000000000000", coarse_asset[] = "1111111111111111",
-                      given_asset[] = "2222222222222222";
+                      uploaded_asset[] = "2222222222222222";
 Bytes with_assets(Input);
 std::vector<uint8_t> without_assets(std::span<const std::byte>);
 
 const std::shared_ptr<const Car>& fine_car();
 const std::shared_ptr<const Car>& coarse_car();
-const std::shared_ptr<const Car>& given_car();
+const std::shared_ptr<const Car>& uploaded_car();
 
 WorldHandle small_world();
 // One tick; its messages are what readers take, its numbers are finite, its counts agree.

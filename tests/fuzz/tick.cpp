@@ -91,13 +91,13 @@ std::vector<std::vector<uint8_t>> tick_seeds() {
         p.add_iterations(3);
         p.add_substeps(2);
         p.add_region(0);
-        p.add_yield(0.02f);
-        p.add_viscosity(1e4f);
+        p.add_yield_strain(0.02f);
+        p.add_drag(1e4f);
       }),
       states);
   add(command, 0, host::parameters([](auto& p) { p.add_solver(schema::Solver::classic); }), states);
   add(command, 0, host::save(), states);
-  Body body = make_body(fine_car()->model);
+  DeformableState body = make_body(fine_car()->model);
   body.node[0].x() += 0.3f;
   body.hardening[1] = 0.2f;
   add(command, 0, host::load(encode_state(fine_asset, body)), states);
@@ -109,8 +109,8 @@ std::vector<std::vector<uint8_t>> tick_seeds() {
   put(named, uint8_t(key.size()), free, states);
   put(end_of_tick, 0, {}, states);
 
-  add(asset, 0, host::asset(*given_car()), given);
-  add(command, 0, host::spawn(given_asset, "h0"), given);
+  add(asset, 0, host::asset(*uploaded_car()), given);
+  add(command, 0, host::spawn(uploaded_asset, "h0"), given);
   add(obstacles, 0, host::obstacles(1, {{1, Shape::sphere, {0.6f, 0, 0}, pose_at(2.6, 0.2, 0.5), {-9, 0, 0}}}), given);
   for (int k = 0; k < 3; ++k) put(end_of_tick, 0, {}, given);
   return {crash, shapes, states, given};

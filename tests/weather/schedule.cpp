@@ -237,7 +237,7 @@ void command(Actor& self, Draw& draw, double y) {
       break;
     case 2: {
       CrumpleParameters parameters = crumple_keep();
-      parameters.yield = float(0.001 + 0.05 * draw.share());
+      parameters.yield_strain = float(0.001 + 0.05 * draw.share());
       crumple_set_parameters(self.session, id.c_str(), &parameters, &ticket);
       break;
     }

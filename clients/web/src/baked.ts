@@ -100,7 +100,7 @@ const sliver = 1e-5;
  * them. The strain of a triangle is its largest |principal stretch - 1|; that of a vertex is the mean of its triangles, weighted by
  * their area at rest. Principal stretches are sqrt(1 + 2 e), where e are the principal values of the Green strain (G^-1 H - 1) / 2, and
  * G and H have the products of the triangle's edges at rest and now. The strain has an elastic part, which is about 0.01 in this body
- * (Material::yield) and 0.002 in sheet steel. A car that touches nothing shows its plastic strain.
+ * (Material::yield_strain) and 0.002 in sheet steel. A car that touches nothing shows its plastic strain.
  */
 export function strain(car: BakedCar, now: Float32Array, out: Float32Array): void {
   const { vertex: rest, triangle } = car, area = new Float32Array(out.length);

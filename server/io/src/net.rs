@@ -337,7 +337,7 @@ fn reach_the_other_end(session: &Session) {
 }
 
 /// zenoh 1.10 lets one thread read a TLS stream while another writes to it, and the stream has no lock (zenoh's issue 2557):
-/// with traffic both ways the link breaks ("handshake not complete": every tenth short session of tests/operate_test.cpp). On
+/// with traffic both ways the link breaks ("handshake not complete": every tenth short session of tests/service/operate_test.cpp). On
 /// one thread they take turns. zenoh reads this once, before the process's first session; what the user has set stands.
 fn one_thread_for_tls() {
     static ONCE: std::sync::Once = std::sync::Once::new();

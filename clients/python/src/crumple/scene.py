@@ -67,10 +67,9 @@ def _obstacle(given: dict[str, Any]) -> Obstacle:
 
 
 def _parameters(given: dict[str, Any]) -> Parameters:
-    renamed = {"yield_" if name == "yield" else name: each for name, each in given.items()}
-    if "solver" in renamed:
-        renamed["solver"] = Solver[renamed["solver"]]
-    return Parameters(**renamed)
+    if "solver" in given:
+        given = {**given, "solver": Solver[given["solver"]]}
+    return Parameters(**given)
 
 
 def _json(value: Any) -> Any:
@@ -78,7 +77,7 @@ def _json(value: Any) -> Any:
         return value.name
     if dataclasses.is_dataclass(value):  # what is absent has its default there as here; but a Pose is a struct, always whole
         given = [(each, getattr(value, each.name)) for each in dataclasses.fields(value)]
-        return {each.name.rstrip("_"): _json(of) for each, of in given if isinstance(value, Pose) or of != each.default}
+        return {each.name: _json(of) for each, of in given if isinstance(value, Pose) or of != each.default}
     if isinstance(value, (list, tuple)) and value and isinstance(value[0], (int, float)):
         return dict(zip("xyzw", map(float, value)))
     return [_json(each) for each in value] if isinstance(value, (list, tuple)) else value

@@ -73,10 +73,10 @@ class Parameters:
     region: int = -1  # the one that the fields below are for; -1: all
     young_modulus: float | None = None
     poisson_ratio: float | None = None
-    yield_: float | None = None
+    yield_strain: float | None = None
     hardening: float | None = None
     plastic_limit: float | None = None
-    viscosity: float | None = None
+    drag: float | None = None
     distance_stiffness: float | None = None  # of the solver `classic`, like the next two
     volume_stiffness: float | None = None
     plasticity: float | None = None

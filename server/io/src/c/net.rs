@@ -250,5 +250,5 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
     unsafe { out.write(view) };
 }
 
-// The same numbers stand in tests/transport_test.cpp.
+// The same numbers stand in tests/io/transport_test.cpp.
 const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 96);

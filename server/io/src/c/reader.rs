@@ -113,5 +113,5 @@ pub unsafe extern "C" fn reader_metadata(
     status(metadata(), |found| found)
 }
 
-// The same number stands in tests/transport_test.cpp.
+// The same number stands in tests/io/transport_test.cpp.
 const _: () = assert!(size_of::<ReaderMessage>() == 72);

@@ -1,0 +1,907 @@
+// The gateway for browsers and its page, as a newcomer has them: real server, real zenoh, `crumple view`.
+//   node tests/gateway/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
+//   node tests/gateway/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/gateway/web_page.png does; 77: no Chromium
+//   node tests/gateway/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: difference and strain are those of their exported surfaces
+//   node tests/gateway/web_test.mjs repaint PROGRAM CAR WEB     a car painted anew again and again is shown, what it was is forgotten
+//   node tests/gateway/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
+//   node tests/gateway/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
+//   node tests/gateway/web_test.mjs keep PROGRAM CAR WEB        writes tests/gateway/web_page.png anew: look at it
+// WEB: the folder build/web.
+import assert from "node:assert/strict";
+import { execFileSync, spawn } from "node:child_process";
+import { cpSync, existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { request } from "node:http";
+import { createRequire } from "node:module";
+import { connect } from "node:net";
+import { tmpdir } from "node:os";
+import { resolve } from "node:path";
+import { fileURLToPath, pathToFileURL } from "node:url";
+import { zstdCompressSync } from "node:zlib";
+
+const patience = 90_000; // ms, for a machine under load with sanitizers on
+const here = fileURLToPath(new URL(".", import.meta.url));
+const mode = process.argv[2], [program, car, web] = process.argv.slice(3).map((path) => resolve(path));
+const { Control, digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
+
+async function until(what, condition) {
+  for (const end = Date.now() + patience; Date.now() < end; await new Promise((wait) => setTimeout(wait, 20))) {
+    const value = await condition();
+    if (value) return value;
+  }
+  assert.fail(`did not come within ${patience / 1000} s: ${what}`);
+}
+
+const children = [];
+function start(...options) {
+  const child = spawn(program, options, { stdio: ["ignore", "pipe", "inherit"] });
+  const process = { child, text: "", ended: new Promise((ended) => child.on("exit", (code) => ended(code))) };
+  child.stdout.on("data", (data) => (process.text += data));
+  children.push(process);
+  return process;
+}
+const said = (process, pattern) => until(`${pattern}`, () => pattern.exec(process.text)?.[1]);
+async function end(process) {
+  process.child.kill("SIGTERM");
+  return process.ended;
+}
+
+const view = (...options) => start("view", "--page", resolve(web, "index.html"), ...options);
+// At the address where one was before; while that is somebody else's, once more.
+async function viewAgain(host, ...options) {
+  return until(`a gateway at ${host} again`, async () => {
+    const gateway = view(...options, "--listen", host);
+    const listens = said(gateway, /(http:\S+\/) in a browser/).catch(() => null);
+    return (await Promise.race([listens, gateway.ended.then(() => null)])) && gateway;
+  });
+}
+const address = (gateway) => said(gateway, /(http:\S+\/) in a browser/);
+
+// The status that a request with these headers gets.
+function status(url, headers) {
+  return new Promise((done, failed) => {
+    const asked = request(url, { headers }, (answer) => done(answer.statusCode));
+    asked.on("upgrade", (answer, socket) => (socket.destroy(), done(answer.statusCode)));
+    asked.on("error", failed).end();
+  });
+}
+
+async function checkWhoMayAsk(url) {
+  const { host } = new URL(url);
+  const socket = { Connection: "Upgrade", Upgrade: "websocket", "Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==" };
+  assert.equal(await status(url, {}), 200);
+  assert.equal(await status(`${url}asset/0000000000000000`, {}), 404);
+  assert.equal(await status(`${url}live`, { ...socket, Origin: `http://${host}` }), 101);
+  assert.equal(await status(`${url}live`, { ...socket, Origin: "http://another.example" }), 403, "a page of another site reads the scene");
+  assert.equal(await status(url, { Host: "another.example" }), 403, "a name of another site that leads here reads the scene");
+}
+
+// A browser that reads and never answers: how many batches it gets.
+function neverAnswers(url) {
+  const { hostname, port } = new URL(url);
+  const socket = connect(port, hostname);
+  socket.write(`GET /live HTTP/1.1\r\nHost: ${hostname}:${port}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n` +
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n");
+  let bytes = Buffer.alloc(0);
+  socket.on("data", (data) => (bytes = Buffer.concat([bytes, data])));
+  socket.on("error", () => {});
+  return {
+    close: () => socket.destroy(),
+    batches() {
+      let at = bytes.indexOf("\r\n\r\n") + 4, count = 0;
+      while (at > 3 && at + 2 <= bytes.length) {
+        const short = bytes[at + 1], size = short < 126 ? short : short === 126 ? bytes.readUInt16BE(at + 2) : Number(bytes.readBigUInt64BE(at + 2));
+        at += (short < 126 ? 2 : short === 126 ? 4 : 10) + size;
+        ++count;
+      }
+      return count;
+    },
+  };
+}
+
+// A message that is cut off is refused, or was whole but for a string's last zeros: no other surface comes of it.
+function checkPrefixes(made, name, message) {
+  const whole = made();
+  assert.equal(whole[name](message), "whole");
+  for (let size = 0; size < message.length; ++size) {
+    const surface = made(), outcome = surface[name](message.slice(0, size));
+    assert.ok(outcome === "refused" || (outcome === "whole" && surface.hash === whole.hash), `${name}: ${size} of ${message.length} bytes are ${outcome}`);
+  }
+}
+
+async function client() {
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web");
+  const endpoint = await said(server, /at (tcp\S+),/);
+  const options = ["--connect", endpoint, "--scene", "web"];
+  let gateway = view(...options, "--listen", "127.0.0.1:0");
+  const url = await address(gateway);
+  await checkWhoMayAsk(url);
+  await checkBombs();
+
+  // The messages of the last pair that gave a surface.
+  let came = null, keyframe = null, delta = null;
+  for (const name of ["takeKeyframe", "takeDelta"]) {
+    const original = Surface.prototype[name];
+    Surface.prototype[name] = function (bytes) {
+      const outcome = original.call(this, bytes);
+      if (name === "takeKeyframe" && outcome !== "refused") came = bytes;
+      if (name === "takeDelta" && outcome === "whole") [keyframe, delta] = [came, bytes];
+      return outcome;
+    };
+  }
+  const live = new Live(url), mute = neverAnswers(url);
+  await until("the scene's server", () => live.server);
+  const drive = start("drive", resolve(here, "../../clients/scenes/pole.json"), "--car", car, ...options, "--id", "dented", "--leave");
+  assert.equal(await drive.ended, 0, "drive failed");
+  const dented = live.cars.get("dented");
+  assert.ok(dented, "the car did not come");
+
+  // What another viewer, in C++, holds of it.
+  const held = async () => {
+    const watch = start("watch", "--once", ...options);
+    assert.equal(await watch.ended, 0);
+    return /hash ([0-9a-f]{16})/.exec(watch.text)[1];
+  };
+  await until("the server's hash", async () => digits(dented.surface.hash) === (await held()));
+  const { quanta, quantum } = dented.surface;
+  assert.equal(digits(hashOf(new Uint8Array(quanta.buffer))), digits(dented.surface.hash));
+  const deepest = 1000 * quantum * quanta.reduce((most, q) => Math.max(most, Math.abs(q)), 0);
+  assert.ok(deepest > 100, `a pole at 50 km/h leaves ${deepest} mm`);
+  assert.ok(dented.peak?.contacts > 0 && dented.absorbed > 10_000, "no reaction with contact came");
+  assert.ok(dented.pose && Math.hypot(...dented.velocity) < 0.1, "the car does not stand");
+  assert.equal([...live.obstacles.values()].flatMap(({ list }) => list).length, 1, "the pole is missing");
+  await until("its asset", () => dented.baked);
+  assert.equal(quanta.length, 3 * dented.baked.nodes);
+  assert.equal(dented.refused, 0);
+  await until("health", () => live.health && live.health.rooms.length > 3);
+
+  const [key, change] = [keyframe, delta];
+  checkPrefixes(() => new Surface(), "takeKeyframe", key);
+  const base = () => {
+    const surface = new Surface();
+    surface.takeKeyframe(key);
+    return surface;
+  };
+  checkPrefixes(base, "takeDelta", change);
+  assert.equal(mute.batches(), 4, "a browser that does not answer is sent more than it may have unanswered");
+  mute.close();
+
+  // A late one gets everything; the first one comes back by itself after the gateway was gone, and holds the same.
+  const late = new Live(url);
+  await until("a late browser", () => late.cars.get("dented")?.surface.hash === dented.surface.hash && late.cars.get("dented").pose);
+  late.close();
+  assert.equal(await end(gateway), 0);
+  await until("that the line is lost", () => live.link === "lost");
+  gateway = await viewAgain(new URL(url).host, ...options);
+  await until("the line again", () => live.link === "live");
+  await until("the surface again", async () => digits(live.cars.get("dented")?.surface.hash ?? 0n) === (await held()));
+  assert.ok(live.cars.get("dented") !== dented, "a car of another gateway passes for the same");
+  const poles = () => [...live.obstacles.values()].flatMap(({ list }) => list).length;
+  await until("where the car stands, and the pole, told before this gateway began", () => live.cars.get("dented")?.pose && poles() === 1);
+  const [now, then] = [live.cars.get("dented").pose.position, dented.pose.position];
+  assert.ok(Math.hypot(...now.map((x, i) => x - then[i])) < 0.05, `it stands at ${now}, not at ${then}`);
+  await end(server);
+  await until("that the server is gone", () => !live.server && live.cars.size === 0);
+  live.close();
+  console.log(`${live.received.batches} batches, deepest ${deepest.toFixed(0)} mm, hash ${digits(dented.surface.hash)}`);
+}
+
+// ---- the page ----
+
+function chromium() {
+  const folders = (process.env.PATH ?? "").split(":");
+  const names = ["chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"];
+  return names.flatMap((name) => folders.map((folder) => `${folder}/${name}`)).find((path) => existsSync(path));
+}
+
+// The hash of the last surface in a recording of one car, by the package in Node, which the other test compares with the server's.
+async function lastHash(url) {
+  const live = new Live(url);
+  let last = null, over = false;
+  await until("the recording's end", () => {
+    const held = [...live.cars.values()][0]?.surface;
+    if (held && last && held.tick < last.tick) over = true;
+    if (held?.tick && !over) last = { tick: held.tick, hash: held.hash };
+    return over;
+  });
+  live.close();
+  return digits(last.hash);
+}
+
+// A recording as a scene: any moment, forwards and backwards.
+function checkFilm(recording, hash) {
+  const film = Film.read(recording), held = () => [...film.cars.values()][0];
+  const before = 0.5, after = 2; // s: the wall is hit at 0.8
+  for (const time of [before, after, before, after]) {
+    film.seek(time);
+    if (time === after) assert.equal(digits(held().surface.hash), hash, `another surface after ${time} s`);
+    else assert.ok(held().surface.quanta.every((q) => q === 0), "a dent before the crash");
+    assert.equal(held().peak !== null, time === after);
+    assert.ok(held().baked && film.obstacles.size === 1);
+  }
+  film.seek(film.duration);
+  assert.equal(film.cars.size, 0, "a car that was despawned is there");
+  assert.throws(() => Film.read(new Uint8Array(1000)));
+}
+
+// A message of zeros, packed by zstd: much of one byte in each chunk's.
+async function checkBombs() {
+  const require = createRequire(pathToFileURL(resolve(web, "package.json"))), { McapWriter, TempBuffer } = require("@mcap/core");
+  const packed = async (data) => {
+    const writable = new TempBuffer();
+    const writer = new McapWriter({ writable, compressChunk: (chunk) => ({ compression: "zstd", compressedData: zstdCompressSync(chunk) }) });
+    await writer.start({ profile: "crumple", library: "test" });
+    const schemaId = await writer.registerSchema({ name: "S", encoding: "", data: new Uint8Array(0) });
+    const channelId = await writer.registerChannel({ schemaId, topic: "t", messageEncoding: "", metadata: new Map() });
+    await writer.addMessage({ channelId, sequence: 0, logTime: 0n, publishTime: 0n, data });
+    await writer.end();
+    return writable.get();
+  };
+  const noise = Uint8Array.from({ length: 1 << 20 }, (_, i) => (Math.imul(i, 2654435761) >>> 24) & 0xff);
+  assert.equal(Film.read(await packed(noise)).duration, 0, "what is no bomb is read");
+  for (const size of [1 << 20, 70 << 20]) {
+    const bomb = await packed(new Uint8Array(size));
+    assert.throws(() => Film.read(bomb), /claims to hold/);
+  }
+}
+
+// The same, written anew by another program: zstd is what such programs take unless told otherwise.
+async function inZstd(recording) {
+  const require = createRequire(pathToFileURL(resolve(web, "package.json")));
+  const { McapStreamReader, McapWriter, TempBuffer } = require("@mcap/core"), { decompress } = require("lz4js");
+  const reader = new McapStreamReader({ decompressHandlers: { lz4: (data, size) => decompress(data, Number(size)) } });
+  const writable = new TempBuffer(), schemas = new Map(), channels = new Map();
+  const writer = new McapWriter({ writable, compressChunk: (data) => ({ compression: "zstd", compressedData: zstdCompressSync(data) }) });
+  await writer.start({ profile: "crumple", library: "test" });
+  reader.append(recording);
+  for (let record; (record = reader.nextRecord()); ) {
+    if (record.type === "Schema" && !schemas.has(record.id)) schemas.set(record.id, await writer.registerSchema(record));
+    if (record.type === "Channel" && !channels.has(record.id))
+      channels.set(record.id, await writer.registerChannel({ ...record, schemaId: schemas.get(record.schemaId) }));
+    if (record.type === "Message") await writer.addMessage({ ...record, channelId: channels.get(record.channelId) });
+    if (record.type === "Attachment") await writer.addAttachment(record);
+    if (record.type === "Metadata") await writer.addMetadata(record);
+  }
+  await writer.end();
+  return writable.get();
+}
+
+// A page at this address, and what its console says.
+async function openPage(path, url, options) {
+  const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
+  const browser = await browsers.launch({
+    executablePath: path, args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"], timeout: patience,
+  });
+  const opened = await browser.newPage(options);
+  opened.setDefaultTimeout(patience);
+  const console_ = [];
+  opened.on("console", (message) => console_.push(message.text()));
+  opened.on("pageerror", (error) => console_.push(`${error}`));
+  await opened.goto(url);
+  return { browser, opened, console_ };
+}
+
+async function scrubTo(opened, time) {
+  await opened.evaluate((value) => {
+    const scrub = document.querySelector("#scrub");
+    scrub.value = value;
+    scrub.dispatchEvent(new Event("input"));
+  }, `${time}`);
+}
+
+async function page(path, keep) {
+  const recording = resolve(here, "../../recordings/m130_wall.mcap");
+  const gateway = view(recording, "--listen", "127.0.0.1:0");
+  const url = await address(gateway);
+  const hash = await lastHash(url);
+  checkFilm(new Uint8Array(readFileSync(recording)), hash);
+  checkFilm(await inZstd(new Uint8Array(readFileSync(recording))), hash);
+  const { browser, opened, console_ } = await openPage(path, url, { viewport: { width: 560, height: 320 } });
+  // The crash is over: the page has its last surface, and the car stands. Then it is stopped there.
+  await opened.waitForFunction((wanted) => {
+    const { live, shown } = window.crumple, [item] = shown.values();
+    const whole = item?.mesh?.deepest > 0.1 && item.car.surface.hash === BigInt(`0x${wanted}`) && Math.hypot(...item.car.velocity) < 0.01;
+    if (whole) live.close();
+    return whole;
+  }, hash);
+  await opened.waitForFunction(() => /\d+ mm/.test(document.querySelector("#cars .dent").textContent));
+  const panel = await opened.innerText("#panel");
+  for (const words of ["car", "km/h", "ms a tick", "solve", "bits a vertex"]) assert.ok(panel.includes(words), `the panel does not say "${words}": ${panel}`);
+  assert.match(await opened.innerText("#credits"), /mononofu/, "whom to credit is not shown");
+  await opened.evaluate(countStrains);
+  await opened.keyboard.press("c"); // colours by dent stay on for the picture: there a dent shows most
+  assert.equal(await opened.innerText("#legend"), "Dent\n0\n500 mm");
+  await opened.keyboard.press("p");
+  assert.ok(await opened.isHidden("#details"), "key P does not fold the panel");
+
+  // The same picture as the one that is kept, whatever the machine draws a little differently.
+  const shot = `data:image/png;base64,${await opened.evaluate(() => window.crumple.picture())}`;
+  const kept = resolve(here, "web_page.png");
+  if (keep) writeFileSync(kept, Buffer.from(shot.split(",")[1], "base64"));
+  const difference = await opened.evaluate(compare, [shot, `data:image/png;base64,${readFileSync(kept, "base64")}`]);
+  console.log(`hash ${hash}; the picture differs by ${(100 * difference.mean).toFixed(2)} % on average, by much in ${(100 * difference.far).toFixed(2)} % of it`);
+  assert.ok(difference.mean < 0.012 && difference.far < 0.02, "the page draws another picture than tests/gateway/web_page.png");
+
+  // Strain is found once for each surface, while it is shown.
+  const strains = () => opened.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(window.strains)))));
+  assert.equal(await strains(), 0);
+  await opened.keyboard.press("c");
+  await opened.keyboard.press("ArrowLeft");
+  assert.equal(await strains(), 1);
+
+  // The same recording as a file, put to a moment before the crash and to one after it.
+  await opened.setInputFiles("#file", recording);
+  await opened.waitForFunction(() => window.crumple.film());
+  for (const [time, dented] of [[2, true], [0.5, false]]) {
+    await scrubTo(opened, time);
+    await opened.waitForFunction((wanted) => {
+      const [item] = window.crumple.shown.values();
+      return item?.mesh && item.mesh.deepest > 0.1 === wanted;
+    }, dented);
+    const strained = await opened.evaluate(() => Math.max(...[...window.crumple.shown.values()][0].mesh.strain()));
+    assert.ok(dented ? strained > 0.2 : strained < 1e-5, `strain of ${strained} where ${dented ? "a" : "no"} dent is`);
+  }
+
+  // Where frames take long it draws less, and says so, until it is told to draw all.
+  const says = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#link").textContent), pattern.source);
+  await opened.evaluate(() => {
+    const { renderer } = window.crumple, { render } = renderer;
+    renderer.render = (...what) => {
+      render.apply(renderer, what);
+      for (const end = performance.now() + 80; performance.now() < end; );
+    };
+    window.fast = () => (renderer.render = render);
+  });
+  await opened.selectOption("#speed", "0.05");
+  await opened.click("#play");
+  await opened.evaluate(() => document.activeElement.blur());
+  const ratio = () => opened.evaluate(() => window.crumple.renderer.getPixelRatio());
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn in full$/);
+  assert.equal(await ratio(), 1);
+  await opened.keyboard.press("f");
+  await says(/^recording, drawn coarsely to keep up \(key F/);
+  assert.equal(await ratio(), 0.4);
+  await opened.evaluate(() => window.fast());
+  await scrubTo(opened, 0.5);
+
+  // Beside the scene, which has stopped with the whole dent.
+  await opened.keyboard.press("b");
+  await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
+  const deepest = await opened.evaluate(() => [...window.crumple.comparison().pairs[0].shown].map(({ mesh }) => 1000 * mesh.deepest));
+  assert.ok(deepest[0] > 100 && deepest[1] === 0, `deepest ${deepest} mm`);
+  await differBy(opened, deepest[0]);
+  await scrubTo(opened, 2);
+  await differBy(opened, 0);
+  await opened.keyboard.press("b");
+  assert.ok(await opened.isHidden("#comparison"), "key B does not end it");
+
+  // A second recording: beside the first, or alone.
+  for (const [key, names] of [["Escape", 0], ["Enter", 2]]) {
+    await opened.setInputFiles("#file", resolve(here, "../../recordings/built_in_pole.mcap"));
+    await opened.waitForSelector("#choice[open]");
+    await opened.keyboard.press(key);
+    await opened.waitForFunction((count) => !document.querySelector("#choice").open && document.querySelectorAll("#names:not([hidden]) span").length === count, names);
+  }
+  await opened.waitForFunction(() => /surfaces of 5786 and 1259 vertices/.test(document.querySelector("#comparison").textContent));
+  await opened.click("#close");
+  assert.ok(await opened.isHidden("#player"));
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+}
+
+// What the page says of the only pair; waits until it does, as text comes four times a second. mm
+async function differBy(opened, largest, rms = null) {
+  const said = async () => (await opened.innerText("#comparison")).match(/differ by ([\d.]+) mm at most, ([\d.]+) mm RMS/)?.slice(1).map(Number);
+  const near = (found, wanted) => wanted === null || Math.abs(found - wanted) < 0.1;
+  let last = null;
+  await until(`a difference of ${largest} mm, ${rms} RMS; the page says ${last}`, async () => (last = await said()) && near(last[0], largest) && near(last[1], rms))
+    .catch(() => assert.fail(`the page says ${last}, not ${largest} mm at most and ${rms} mm RMS`));
+}
+
+// A recording as `crumple export` has it: when the car first touches something, and its surface after any tick (numbers of an OBJ).
+async function exported(recording, folder) {
+  assert.equal(await start("export", recording, "-o", folder, "--fps", "1000").ended, 0);
+  const rows = readFileSync(`${folder}/reactions.csv`, "utf8").trim().split("\n").slice(1).map((row) => row.split(","));
+  const ticks = readdirSync(folder).map((name) => Number(/_(\d+)\.obj$/.exec(name)?.[1] ?? NaN)).filter((tick) => tick >= 0).sort((a, b) => a - b);
+  return {
+    contact: Number(rows.find((row) => Number(row.at(-1)) > 0)[0]),
+    /** kind: "v", or "f" for its triangles, whose vertices are counted from 1. */
+    surface(tick, kind = "v") {
+      const name = String(ticks.filter((one) => one <= tick).at(-1)).padStart(6, "0");
+      const lines = readFileSync(`${folder}/car_${name}.obj`, "utf8").split("\n").filter((line) => line.startsWith(`${kind} `));
+      return lines.map((line) => line.split(" ").slice(1, 4).map(Number));
+    },
+  };
+}
+
+// Of each vertex, slowly: how much longer or shorter the lines of its triangles have become, at most of all directions; by area.
+function strainOf(triangles, rest, now) {
+  const minus = (a, b) => a.map((x, k) => x - b[k]), dot = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
+  const sum = rest.map(() => 0), area = rest.map(() => 0);
+  for (const corners of triangles.map((triangle) => triangle.map((v) => v - 1))) {
+    const [[b, c], [p, q]] = [rest, now].map((at) => corners.slice(1).map((v) => minus(at[v], at[corners[0]])));
+    const width = Math.hypot(...b), along = dot(b, c) / width, height = Math.hypot(...c.map((x, k) => x - (along / width) * b[k]));
+    let most = 0;
+    for (let angle = 0; angle < Math.PI; angle += Math.PI / 360) {
+      const y = Math.sin(angle) / height, x = (Math.cos(angle) - y * along) / width; // a line of 1 m is x b + y c
+      most = Math.max(most, Math.abs(Math.hypot(...p.map((one, k) => x * one + y * q[k])) - 1));
+    }
+    for (const v of corners) {
+      sum[v] += most * width * height;
+      area[v] += width * height;
+    }
+  }
+  return sum.map((x, v) => x / area[v]);
+}
+
+// In the page: counts from now on how often the strain of a car is found.
+function countStrains() {
+  const made = Object.getPrototypeOf([...window.crumple.shown.values()][0].mesh), { strain } = made;
+  window.strains = 0;
+  made.strain = function () {
+    ++window.strains;
+    return strain.call(this);
+  };
+}
+
+// What the legend says: "Dent", 500, and the colours, as light.
+async function readLegend(opened) {
+  const [quantity, most, bar] = await opened.evaluate(() => [
+    ...["#quantity", "#most"].map((id) => document.querySelector(id).textContent), getComputedStyle(document.querySelector("#legend i")).backgroundImage]);
+  const linear = (byte) => (byte / 255 <= 0.04045 ? byte / 255 / 12.92 : ((byte / 255 + 0.055) / 1.055) ** 2.4);
+  return { quantity, most: parseFloat(most), unit: most.split(" ")[1], stops: [...bar.matchAll(/rgb\((\d+), (\d+), (\d+)\)/g)].map((stop) => stop.slice(1).map(Number).map(linear)) };
+}
+
+function checkColours({ quantity, most, stops }, values, drawn) {
+  values.forEach((value, v) => {
+    const share = Math.min(1, value / most) * (stops.length - 1), i = Math.min(Math.floor(share), stops.length - 2);
+    const wanted = stops[i].map((x, k) => x + (share - i) * (stops[i + 1][k] - x));
+    assert.ok(wanted.every((x, k) => Math.abs(x - drawn[v][k]) < 0.01), `vertex ${v}, ${quantity} ${value}, is drawn as ${drawn[v]}, not ${wanted}`);
+  });
+}
+
+// In the page: of each vertex of the pair's two cars the colour that it is drawn in.
+function colours() {
+  const [{ shown }] = window.crumple.comparison().pairs;
+  return shown.map(({ mesh }) => {
+    const { position, color } = mesh.geometry.attributes, key = (array, at) => array.slice(at, at + 3).join();
+    const corner = new Map();
+    for (let c = 0; c < position.array.length; c += 3) corner.set(key(position.array, c), [...color.array.slice(c, c + 3)]);
+    return Array.from({ length: mesh.skinned.length / 3 }, (_, v) => corner.get(key(mesh.skinned, 3 * v)));
+  });
+}
+
+// In the page: which of the pair's cars each part of the next frame has, and whether that is the left part.
+function whereDrawn() {
+  const { renderer, comparison } = window.crumple, [{ shown }] = comparison().pairs, { render } = renderer, parts = [];
+  const place = { copy: (rectangle) => rectangle };
+  return new Promise((done) => {
+    renderer.render = (scene, camera) => {
+      render.call(renderer, scene, camera);
+      const visible = (object) => object === scene || (object.visible && visible(object.parent));
+      parts.push({ cars: [0, 1].filter((i) => visible(shown[i].mesh)), left: renderer.getViewport(place).x === 0 });
+      if (parts.length < 2) return;
+      renderer.render = render;
+      done(parts);
+    };
+    document.querySelector("#scrub").dispatchEvent(new Event("input")); // so that there is one
+  });
+}
+
+// In the page: a seek backwards makes the cars anew. Which of the pair have colours in the very first picture of them.
+function colouredAtFirst() {
+  const { renderer, comparison } = window.crumple, { render } = renderer, [{ meshes: [before] }] = comparison().pairs;
+  return new Promise((done) => {
+    renderer.render = (scene, camera) => {
+      render.call(renderer, scene, camera);
+      const meshes = comparison().pairs[0]?.meshes;
+      if (!meshes || meshes[0] === before) return;
+      renderer.render = render;
+      done(meshes.map(({ material }) => material.vertexColors));
+    };
+    const scrub = document.querySelector("#scrub");
+    scrub.value = `${scrub.value / 2}`;
+    scrub.dispatchEvent(new Event("input"));
+  });
+}
+
+async function comparison(path) {
+  const folder = mkdtempSync(`${tmpdir()}/crumple_compare_`);
+  const recordings = ["built_in_pole", "built_in_roof_drop"].map((name) => resolve(here, `../../recordings/${name}.mcap`));
+  const [a, b] = [await exported(recordings[0], `${folder}/a`), await exported(recordings[1], `${folder}/b`)];
+  const apart = (after) => {
+    const [from, to] = [a.surface(a.contact + after), b.surface(b.contact + after)];
+    const lengths = from.map((at, v) => 1000 * Math.hypot(...at.map((x, k) => x - to[v][k])));
+    return { lengths, largest: Math.max(...lengths), rms: Math.sqrt(lengths.reduce((sum, x) => sum + x * x, 0) / lengths.length) };
+  };
+  const gateway = view(...recordings, "--listen", "127.0.0.1:0");
+  const { browser, opened, console_ } = await openPage(path, await said(gateway, /open (http:\S+) in a browser/), { viewport: { width: 820, height: 340 } });
+  await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
+  assert.deepEqual((await opened.innerText("#names")).split(/\s+/), ["built_in_pole.mcap", "built_in_roof_drop.mcap"]);
+  // In ticks after the first contact: recordings begin with tick 1, and the later contact is where it is on the clock of both.
+  for (const after of [-2, 2, 1, 100]) {
+    const wanted = apart(after);
+    await scrubTo(opened, (Math.max(a.contact, b.contact) - 1 + after) / 60);
+    await differBy(opened, wanted.largest, wanted.rms);
+    console.log(`${after} ticks after contact: ${wanted.largest.toFixed(1)} mm at most, ${wanted.rms.toFixed(1)} mm RMS`);
+  }
+
+  // Colours are those of the legend, at the lengths that it says.
+  const { lengths } = apart(100);
+  const difference = await readLegend(opened);
+  assert.equal(`${difference.quantity} ${difference.unit}`, "Difference mm");
+  for (const drawn of await opened.evaluate(colours)) checkColours(difference, lengths, drawn);
+  assert.deepEqual(await opened.evaluate(whereDrawn), [{ cars: [0], left: true }, { cars: [1], left: false }]);
+  assert.deepEqual(await opened.evaluate(colouredAtFirst), [true, true], "where frames take long, that picture stays");
+
+  // Strain, of each of them by itself.
+  await opened.keyboard.press("c");
+  const strain = await readLegend(opened);
+  assert.equal(`${strain.quantity} ${strain.unit}`, "Strain of the surface %");
+  for (const after of [2, 100, -2]) {
+    const wanted = [a, b].map(({ contact, surface }) => strainOf(surface(contact, "f"), surface(contact - 2), surface(contact + after)).map((x) => 100 * x));
+    await scrubTo(opened, (Math.max(a.contact, b.contact) - 1 + after) / 60);
+    await differBy(opened, apart(after).largest);
+    for (const [i, drawn] of (await opened.evaluate(colours)).entries()) checkColours(strain, wanted[i], drawn);
+    const said = await opened.evaluate(() => window.crumple.comparison().pairs[0].shown.map(({ mesh }) => [...mesh.strain()]));
+    said.forEach((values, i) => values.forEach((value, v) => assert.ok(Math.abs(100 * value - wanted[i][v]) < 0.2, `vertex ${v}: strain ${100 * value} %, not ${wanted[i][v]} %`)));
+    console.log(`${after} ticks after contact: strain ${wanted.map((values) => Math.max(...values).toFixed(1)).join(" and ")} % at most`);
+  }
+  await opened.keyboard.press("c");
+  assert.ok(await opened.isHidden("#legend"), "the legend stays when colours are off");
+  await opened.keyboard.press("c");
+  assert.equal((await readLegend(opened)).quantity, "Difference");
+
+  // The same twice.
+  await opened.setInputFiles("#file", [recordings[0], recordings[0]]);
+  await opened.waitForFunction(() => new Set(window.crumple.comparison().names).size === 1);
+  await scrubTo(opened, 2);
+  await differBy(opened, 0, 0);
+
+  // On a phone: all that belongs to it is in the window.
+  await opened.setViewportSize({ width: 390, height: 844 });
+  for (const what of ["#names span:nth-child(1)", "#names span:nth-child(2)", "#scrub", "#speed", "#close", "#comparison", "#legend"]) {
+    await until(`${what} in a phone's window`, () => opened.evaluate((selector) => {
+      const { left, top, right, bottom } = document.querySelector(selector).getBoundingClientRect();
+      return left >= 0 && top >= 0 && right <= innerWidth && bottom <= innerHeight && left < right && innerWidth === 390;
+    }, what));
+  }
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+  rmSync(folder, { recursive: true });
+}
+
+// ---- the page that commands ----
+
+const none = "0000000000000000";
+
+// What is asked of a gateway, and with which status and sentence it is refused.
+async function checkRefusals(url, asset) {
+  const ask = async (path, body, headers = {}) => {
+    const answer = await fetch(new URL(path, url), { method: "POST", body, headers });
+    return `${answer.status} ${await answer.text()}`;
+  };
+  assert.match(await ask(`paint/${asset}`, "{regions: [}"), /^422 .*regions\.fbs/s);
+  assert.match(await ask(`paint/${asset}`, '{regions: [{name: "far", sphere: {center: {x: 99, y: 0, z: 0}, radius: 1}}]}'), /^422 .*holds no node/s);
+  assert.match(await ask(`paint/${none}`, "{regions: []}"), /^404 /);
+  assert.match(await ask("elsewhere", ""), /^404 /);
+  assert.match(await ask("command/car/*", ""), /^400 /, "all cars at once");
+  assert.match(await ask(`paint/${asset}`, "x".repeat((1 << 20) + 1)), /^413 /);
+  assert.match(await ask(`paint/${asset}`, "{regions: []}", { Origin: "http://another.example" }), /^403 /, "a page of another site commands");
+  const control = await Control.find(url);
+  await assert.rejects(control.repair("nobody"), /nobody does not live here/);
+  await assert.rejects(control.spawn("x", none, "page", origin), /not one of this server's/);
+  return control;
+}
+
+// A pole comes along and hits what stands at the origin, at 8 m/s; how deep the dent of that car is then, m. It takes 1.1 s of the
+// server's, which may be 1.1 s behind when drive ends: so drive lasts longer, or the pole goes on into the next car.
+async function hit(live, folder, options) {
+  const scene = resolve(folder, "hit.json"), zero = { x: 0, y: 0, z: 0 };
+  writeFileSync(scene, JSON.stringify({
+    about: "A pole that comes.",
+    obstacles: [{ id: 1, shape: "capsule", size: { x: 0.15, y: 3, z: 0 }, velocity: { x: -8, y: 0, z: 0 },
+      pose: { position: { x: 6, y: 0, z: 2 }, orientation: { ...zero, w: 1 } } }],
+    hits: [{ position: { x: 0, y: 80, z: 0 }, direction: { x: 1, y: 0, z: 0 }, speed_kmh: 0, seconds: 3 }],
+  }));
+  const drive = start("drive", scene, "--car", car, ...options, "--id", "bystander");
+  assert.equal(await drive.ended, 0, "drive failed");
+  const { quanta, quantum } = live.cars.get("painted").surface;
+  return quantum * quanta.reduce((most, q) => Math.max(most, Math.abs(q)), 0);
+}
+
+const origin = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
+/** Baked cars that server and gateway keep beside those of the cars that live. */
+const given = 16, spare = 8;
+
+async function repaint() {
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web");
+  const options = ["--connect", await said(server, /at (tcp\S+),/), "--scene", "web"];
+  const gateway = view(...options, "--control", "--listen", "127.0.0.1:0"), url = await address(gateway), live = new Live(url);
+  await until("the scene's server", () => live.server);
+  const commander = await Control.find(url), info = start("info", car);
+  assert.equal(await info.ended, 0);
+  const hashes = [/\b[0-9a-f]{16}\b/.exec(info.text)[0]];
+  await commander.spawn("painted", hashes[0], "page", origin);
+  const shows = (region) => until(`a car with region ${region}`, () => live.cars.get("painted")?.baked?.regions.includes(region));
+  await shows("body");
+  const painted = live.cars.get("painted");
+  const paint = async (name) => {
+    const regions = [{ name, sphere: { center: { x: 0, y: 0, z: 0.5 }, radius: 1 } }];
+    hashes.push(digits(hashOf(await commander.paint(hashes.at(-1), JSON.stringify({ regions })))));
+  };
+  for (let k = 0; k < given + 2; ++k) {
+    await paint(`part${k}`);
+    await commander.replace("painted", hashes.at(-1));
+    await shows(`part${k}`);
+  }
+  assert.equal(live.cars.get("painted"), painted, "the car that was painted anew passes for another");
+  const kept = [];
+  for (const hash of hashes) if ((await fetch(new URL(`asset/${hash}`, url))).ok) kept.push(hash);
+  assert.deepEqual(kept, hashes.slice(-1 - spare), "the gateway keeps others than the car's and the newest of those before it");
+  assert.deepEqual([...live.assets.keys()], hashes.slice(-1), "the page keeps what no car is of");
+  const late = new Live(url);
+  await until("a late page", () => late.cars.get("painted")?.baked?.regions.includes(`part${given + 1}`));
+  late.close();
+
+  // The server has forgotten the first ones too, but not those that live; the gateway asks again for what it has forgotten.
+  await assert.rejects(commander.replace("painted", hashes[1]), /not one of this server's/);
+  await commander.replace("painted", hashes[0]);
+  await until("what it was at first", () => painted.baked?.regions.every((name) => !name.startsWith("part")));
+  for (const hash of hashes.slice(-given)) await commander.spawn(`of-${hash}`, hash, "page", origin);
+  await assert.rejects(paint("part"), /no room for one more baked car.*despawn another first/);
+  live.close();
+  await end(gateway);
+  await end(server);
+}
+
+// In the page: how many corners of the mask have each colour.
+function tints() {
+  const [{ group, mesh }] = window.crumple.shown.values(), counts = {};
+  const { color } = group.children.find((child) => child !== mesh && child.visible && child.geometry?.attributes.color).geometry.attributes;
+  for (let i = 0; i < color.count; ++i) {
+    const key = [color.getX(i), color.getY(i), color.getZ(i)].map((x) => x.toFixed(3)).join(" ");
+    counts[key] = (counts[key] ?? 0) + 1;
+  }
+  return counts;
+}
+
+// Two fingers near the view by going apart, and turn it by going along, as on a phone.
+async function twoFingers(opened) {
+  const session = await opened.context().newCDPSession(opened);
+  const touch = (type, ...fingers) => session.send("Input.dispatchTouchEvent", { type, touchPoints: fingers.map((x, id) => ({ x, y: 200, id })) });
+  const eye = () => opened.evaluate(() => {
+    const { camera, controls } = window.crumple.tools().paint.workbench, { x, y, z } = camera.position.clone().sub(controls.target);
+    return { away: Math.hypot(x, y, z), azimuth: Math.atan2(y, x) };
+  });
+  const move = async (from, to) => {
+    await touch("touchStart", from[0]);
+    await touch("touchStart", ...from);
+    await touch("touchMove", ...to);
+    await touch("touchEnd");
+  };
+  const before = await eye();
+  await move([220, 260], [190, 290]);
+  await until("a nearer view", async () => (await eye()).away < 0.7 * before.away);
+  await move([200, 240], [280, 320]);
+  await until("a turned view", async () => Math.abs((await eye()).azimuth - before.azimuth) > 0.3);
+}
+
+async function download(opened, button, file) {
+  const [came] = await Promise.all([opened.waitForEvent("download"), opened.click(button)]);
+  await came.saveAs(file);
+  return file;
+}
+
+async function control(path) {
+  const folder = mkdtempSync(resolve(tmpdir(), "crumple-web-"));
+  try {
+    return await controlIn(path, folder);
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+}
+
+async function controlIn(path, folder) {
+  const info = async (file) => {
+    const told = start("info", file);
+    assert.equal(await told.ended, 0);
+    return told.text;
+  };
+  const asset = /\b[0-9a-f]{16}\b/.exec(await info(car))[0], recording = resolve(folder, "session.mcap");
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "web", "--record", recording);
+  const options = ["--connect", await said(server, /at (tcp\S+),/), "--scene", "web"];
+  const shows = view(...options, "--listen", "127.0.0.1:0"), urlThatShows = await address(shows);
+  assert.equal((await fetch(new URL("command/car/painted", urlThatShows), { method: "POST", body: "" })).status, 403, "it commands without --control");
+  assert.equal(await Control.find(urlThatShows), null);
+  await end(shows);
+
+  const gateway = view(...options, "--control", "--listen", "127.0.0.1:0"), url = await address(gateway), live = new Live(url);
+  await until("the scene's server", () => live.server);
+  const commander = await Control.find(url);
+  await commander.spawn("painted", asset, "page", origin);
+  await until("the asset at the gateway", () => live.cars.get("painted")?.baked);
+  await checkRefusals(url, asset);
+
+  const { browser, opened, console_ } = await openPage(path, url, { viewport: { width: 760, height: 480 }, hasTouch: true, acceptDownloads: true });
+  await opened.waitForFunction(() => window.crumple.tools() && [...window.crumple.shown.values()][0]?.mesh);
+  const answered = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#tool-answer").textContent), pattern.source);
+
+  // Painted: a region in a stroke, another that is undone, by touch; and an anchor.
+  await opened.click("#paint summary");
+  await opened.click("#paint-on");
+  await opened.waitForFunction(() => window.crumple.tools().paint.showing);
+  const at = (point) => opened.evaluate((there) => window.crumple.tools().paint.screen(there), point);
+  const legend = () => opened.innerText("#paint-legend");
+  const stroke = async (...points) => {
+    for (const [i, point] of points.entries()) {
+      const { x, y } = await at(point);
+      await opened.mouse.move(x, y, { steps: 3 });
+      if (i === 0) await opened.mouse.down();
+    }
+    await opened.mouse.up();
+  };
+  await opened.fill("#paint-name", "hood");
+  await stroke([1.6, -0.3, 0.8], [1.6, 0.3, 0.8]);
+  assert.equal(await legend(), "hood");
+  const hood = await opened.evaluate(tints);
+  await opened.fill("#paint-name", "mistake");
+  const { x, y } = await at([0, -0.9, 0.5]);
+  await opened.touchscreen.tap(x, y);
+  assert.equal(await legend(), "hood\nmistake");
+  assert.deepEqual([hood, await opened.evaluate(tints)].map((all) => Object.keys(all).length), [2, 3]);
+  await opened.click("#paint-undo");
+  assert.equal(await legend(), "hood");
+  assert.deepEqual(await opened.evaluate(tints), hood, "what was undone is seen");
+  await opened.selectOption("#paint-kind", "anchor");
+  await opened.fill("#paint-name", "cell");
+  await opened.focus("#paint-radius");
+  await opened.keyboard.press("End");
+  await stroke([-0.2, -0.9, 0.5]);
+  assert.equal(await legend(), "hood\ncell, anchored");
+  const all = await opened.evaluate(tints);
+  assert.equal(Object.keys(all).length, 3);
+  await opened.evaluate(() => [false, true].forEach((on) => window.crumple.tools().paint.toggle(on)));
+  assert.deepEqual(await opened.evaluate(tints), all, "the mask is another when it is painted at once");
+  await twoFingers(opened);
+  assert.equal(await legend(), "hood\ncell, anchored", "two fingers paint");
+
+  // Re-baked: the car in the scene is what the program bakes of the saved regions.
+  await opened.click("#paint-bake");
+  await answered(/is now [0-9a-f]{16}: body, hood, cell;/);
+  const regions = await download(opened, "#paint-save", resolve(folder, "regions.json"));
+  const painted = await download(opened, "#paint-car", resolve(folder, "painted.car")), byHand = resolve(folder, "by_hand.car");
+  assert.equal(await start("bake", car, "--regions", regions, "-o", byHand).ended, 0);
+  assert.ok(readFileSync(painted).equals(readFileSync(byHand)), "the page's car is another than that of its regions file");
+  const told = await info(painted), hash = /\b[0-9a-f]{16}\b/.exec(told)[0];
+  assert.match(told, /regions body hood cell\n/);
+  assert.match(told, /\([1-9]\d* anchored\)/);
+  assert.notEqual(hash, asset);
+  await until("the painted car in the scene", () => live.cars.get("painted")?.surface.asset === hash);
+
+  // Hit, and hit again when a slider has made it stiff: the server has taken what the page sent.
+  const soft = await hit(live, folder, options);
+  await commander.despawn("painted");
+  await commander.spawn("painted", hash, "page", origin);
+  await until("the car as new", () => live.cars.get("painted")?.surface.quanta.every((q) => q === 0));
+  await opened.click("#tune summary");
+  await opened.waitForFunction(() => document.querySelectorAll("#tune-region option").length === 4);
+  await opened.fill('[aria-label="young modulus, number"]', "1e12");
+  await opened.keyboard.press("Enter");
+  await answered(/refused: .*young_modulus.* allowed are 10000 to 1e\+10 Pa/);
+  await opened.evaluate(() => {
+    const slider = document.querySelector("#tune-young_modulus");
+    slider.value = Number(slider.value) + 100;
+    slider.dispatchEvent(new Event("input"));
+  });
+  await answered(/painted, all regions: young_modulus [\d.e]+/);
+  const [preset] = JSON.parse(readFileSync(await download(opened, "#tune-save", resolve(folder, "preset.json")), "utf8")).parameters;
+  assert.ok(preset.young_modulus > 3e7, "the preset is not what the slider says");
+  const stiff = await hit(live, folder, options);
+  assert.ok(soft > 0.1 && stiff < 0.8 * soft, `the slider changed nothing: ${soft} m, and ${stiff} m when stiff`);
+  await opened.click("#tune-repair");
+  await answered(/painted is repaired/);
+  await until("that it is repaired", () => live.cars.get("painted").surface.quanta.every((q) => q === 0));
+  const [chooser] = await Promise.all([opened.waitForEvent("filechooser"), opened.click("#tune-load")]);
+  await chooser.setFiles(resolve(here, "../../clients/presets/stiff_old.json"));
+  await answered(/painted has stiff_old\.json/);
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  live.close();
+
+  // What happened is in the recording, the painted car too.
+  await end(gateway);
+  assert.equal(await end(server), 0);
+  const verified = start("replay", recording, "--verify");
+  assert.equal(await verified.ended, 0, verified.text);
+  const film = Film.read(new Uint8Array(readFileSync(recording)));
+  film.seek(film.duration);
+  assert.deepEqual(film.cars.get("painted")?.baked?.regions, ["body", "hood", "cell"]);
+  console.log(`painted ${hash}; dents of ${(1000 * soft).toFixed(0)} mm, and ${(1000 * stiff).toFixed(0)} mm when stiff`);
+}
+
+// ---- the package's manual ----
+
+// Its page, by its commands as they stand, but for npm's part, which needs the network: those packages are linked from WEB.
+async function manual(path) {
+  const root = resolve(here, ".."), folder = resolve(root, "build/mine"), packages = `${folder}/node_modules`;
+  const text = readFileSync(resolve(root, "clients/web/README.md"), "utf8");
+  const [, example, install, commands, shows] =
+    /```ts\n(.*?)```.*```sh\nserver\/setup crumple web\n.*(^npm install .*?\n)(.*)^\.\.\/crumple (view \S+ --page \S+).*```/ms.exec(text);
+  rmSync(folder, { recursive: true, force: true });
+  mkdirSync(`${packages}/crumple-web`, { recursive: true });
+  for (const name of readdirSync(`${web}/node_modules`)) symlinkSync(`${web}/node_modules/${name}`, `${packages}/${name}`);
+  for (const name of ["package.json", "dist"]) cpSync(`${web}/${name}`, `${packages}/crumple-web/${name}`, { recursive: true });
+  for (const name of install.match(/(?<= )[a-z@][\w@/]+/g).slice(1)) assert.ok(existsSync(`${packages}/${name}`), `${name} is not there`);
+  writeFileSync(`${folder}/page.ts`, example);
+  process.chdir(folder);
+  execFileSync("bash", ["-ec", `PATH=$PWD/../venv/bin:$PATH\n${commands}`], { stdio: "inherit" });
+  const gateway = start(...shows.split(" "), "--listen", "127.0.0.1:0");
+  const { browser, opened, console_ } = await openPage(path, await address(gateway), { viewport: { width: 360, height: 240 } });
+  await opened.waitForFunction(() => /mononofu/.test(document.querySelector("p")?.textContent));
+  const late = new Promise((_, failed) => setTimeout(failed, patience, new Error("no dent came")));
+  const [whole, dented] = await Promise.race([opened.evaluate(sizes), late]);
+  console.log(`the car is ${(100 * whole).toFixed(1)} % of the picture, and ${(100 * dented).toFixed(1)} % when dented`);
+  assert.ok(whole > 0.03, "there is hardly a car");
+  assert.deepEqual(console_, [], "the console is not clean");
+  await browser.close();
+  await end(gateway);
+}
+
+// In the page, which draws before this in each frame: the largest share of the picture that is red, as that car is, and a smaller one.
+// The camera goes with the car, so that there is less of it only when it is crushed.
+function sizes() {
+  const canvas = document.querySelector("canvas"), { width, height } = canvas;
+  const pen = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  let whole = 0;
+  return new Promise((done) => {
+    const look = () => {
+      pen.drawImage(canvas, 0, 0);
+      const { data } = pen.getImageData(0, 0, width, height);
+      let count = 0;
+      for (let i = 0; i < data.length; i += 4) count += data[i] - data[i + 2] > 60;
+      const seen = count / (width * height);
+      whole = Math.max(whole, seen);
+      if (seen > 0.5 * whole && seen < 0.97 * whole) done([whole, seen]);
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  });
+}
+
+// In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
+async function compare(pictures) {
+  const [a, b] = await Promise.all(pictures.map(async (source) => {
+    const picture = new Image();
+    picture.src = source;
+    await picture.decode();
+    const pen = new OffscreenCanvas(picture.width, picture.height).getContext("2d");
+    pen.drawImage(picture, 0, 0);
+    return pen.getImageData(0, 0, picture.width, picture.height);
+  }));
+  if (a.width !== b.width || a.height !== b.height) return { mean: 1, far: 1 };
+  let sum = 0, far = 0;
+  for (let i = 0; i < a.data.length; i += 4) {
+    const differs = [0, 1, 2].map((k) => Math.abs(a.data[i + k] - b.data[i + k]) / 255);
+    sum += (differs[0] + differs[1] + differs[2]) / 3;
+    far += Math.max(...differs) > 0.2;
+  }
+  return { mean: sum / (a.data.length / 4), far: far / (a.data.length / 4) };
+}
+
+let code = 1;
+try {
+  const path = chromium();
+  if (mode === "client") await client();
+  else if (mode === "repaint") await repaint();
+  else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
+  else await ({ compare: comparison, control, manual }[mode] ?? page)(path, mode === "keep");
+  code = mode === "client" || mode === "repaint" || path ? 0 : 77;
+} catch (error) {
+  console.error(error);
+} finally {
+  for (const { child } of children) child.kill("SIGKILL");
+}
+process.exit(code);

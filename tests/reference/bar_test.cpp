@@ -1,0 +1,47 @@
+// What a bar keeps that was pulled beyond its yield strain, by its closed form: however few sweeps there are.
+#include "reference/bar.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "box_car.h"
+
+namespace crumple {
+namespace {
+
+// 1.0 x 0.2 x 0.2 m, 1,920 tets.
+TetMesh bar() {
+  TetMesh mesh = box_mesh({20, 4, 4}).tets;
+  Eigen::AlignedBox3f box;
+  for (const Vec3& x : mesh.node) box.extend(x);
+  for (Vec3& x : mesh.node) x = (x - box.min()).cwiseQuotient(box.sizes()).cwiseProduct(Vec3(1, 0.2f, 0.2f));
+  return mesh;
+}
+
+TEST(Bar, KeepsItsPlasticSetAtAnyNumberOfSweeps) {
+  Parameters parameters;
+  parameters.tolerance = 0;
+  for (Material& material : parameters.region) material.yield_strain = 0.02f;
+  parameters.tolerance = 0;
+  const Material& material = parameters.region[0];
+  const double expected = closed_form_set(material);
+  const double logarithmic =
+      std::expm1((std::log1p(bar_pull) - double(material.yield_strain)) / (1 + double(material.hardening)));
+  EXPECT_NEAR(logarithmic / expected, 1, 0.01);
+  const TetMesh tets = bar();
+  for (int sweeps : {4, 8, 16, 32, 64}) {
+    parameters.iterations = uint16_t(sweeps);
+    const PulledBar pulled = pull_bar(tets, 1, parameters);
+    EXPECT_NEAR(pulled.set / expected, 1, 0.01) << sweeps << " sweeps";
+    EXPECT_TRUE(pulled.body.settled) << sweeps << " sweeps";
+    if (sweeps < 64) continue;  // fewer leave the set, but not yet every tet its even share
+    const auto [least, most] = std::minmax_element(pulled.body.hardening.begin(), pulled.body.hardening.end());
+    EXPECT_NEAR(double(*least), std::log1p(expected), 0.05 * std::log1p(expected));
+    EXPECT_NEAR(double(*most), std::log1p(expected), 0.05 * std::log1p(expected));
+  }
+}
+
+}  // namespace
+}  // namespace crumple
