@@ -6,7 +6,7 @@
 #include <cstdio>
 #include <cstring>
 #include <deque>
-#include <random>
+#include <set>
 #include <stdexcept>
 #include <utility>
 
@@ -14,6 +14,7 @@
 #include "recording/answer.h"
 #include "recording/recording.h"
 #include "schema/message_generated.h"
+#include "service/owner.h"
 #include "tick/hash.h"
 #include "tick/snapshot.h"
 
@@ -209,13 +210,6 @@ bool takes_over(Standby& standby) {
 }
 
 }  // namespace
-
-std::string random_id() {
-  std::random_device device;
-  char digits[17];
-  std::snprintf(digits, sizeof digits, "%08x%08x", device(), device());
-  return digits;
-}
 
 std::vector<std::byte> world_question(uint64_t offset, uint64_t asker) {
   std::vector<std::byte> out(2 * sizeof(uint64_t) + std::strlen(program_name));

@@ -9,7 +9,6 @@
 #include <chrono>
 #include <map>
 #include <optional>
-#include <set>
 #include <span>
 #include <string>
 
@@ -18,16 +17,6 @@
 #include "tick/world.h"
 
 namespace crumple {
-
-struct Owner {
-  uint64_t epoch = 0;
-  std::string id;
-  friend auto operator<=>(const Owner&, const Owner&) = default;
-};
-std::string random_id();
-// Who looked away from the network for longer, because the machine slept or had no time, knows nothing of who is there now: its
-// own line may be cut, which it learns a little later.
-inline constexpr std::chrono::milliseconds longest_blink{1000};
 
 // ---- of the owner ----
 

@@ -826,7 +826,7 @@ async function controlIn(path, folder) {
 
 // Its page, by its commands as they stand, but for npm's part, which needs the network: those packages are linked from WEB.
 async function manual(path) {
-  const root = resolve(here, ".."), folder = resolve(root, "build/mine"), packages = `${folder}/node_modules`;
+  const root = resolve(here, "../.."), folder = resolve(root, "build/mine"), packages = `${folder}/node_modules`;
   const text = readFileSync(resolve(root, "clients/web/README.md"), "utf8");
   const [, example, install, commands, shows] =
     /```ts\n(.*?)```.*```sh\nserver\/setup crumple web\n.*(^npm install .*?\n)(.*)^\.\.\/crumple (view \S+ --page \S+).*```/ms.exec(text);

@@ -1,0 +1,66 @@
+// The door. Each key from the network is parsed here, once; what it cannot be is refused and counted. Queries wait in line, and
+// a tick lets in as many as it can pay for, so that no sender makes it long.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "io/net.h"
+#include "protocol/key.h"
+#include "recording/answer.h"
+#include "service/standby.h"
+#include "tick/world.h"
+
+namespace crumple {
+
+// Queries that may wait. Beyond it they are refused.
+inline constexpr uint32_t query_limit = 1'000;
+
+class Admission {
+ public:
+  Admission(std::string root, const std::vector<std::shared_ptr<const Car>>& cars) : root_(std::move(root)), cars_(cars) {}
+
+  // Subscribes to what hosts publish, and answers queries from then on. Throws std::runtime_error.
+  void open(Net*, const World&);
+  // Queues a query, or a host's sample. Other events are none of its business.
+  void take(Net*, const NetEvent&, const Key&);
+  // The inputs of the next tick: of the waiting queries those that it pays for, then the samples. Answers the queries that need
+  // no tick.
+  Inbox admit(Net*, const World&);
+  // Once a second: forgets hosts that have nothing in the scene any more, what they told last and the keys of what they were
+  // told.
+  void forget_hosts(Net*, const World&);
+
+  const LatestInputs& latest() const { return latest_; }
+  size_t waiting() const { return queries_.size(); }
+  uint64_t keys_refused() const { return keys_refused_; }
+  uint64_t queries_refused() const { return queries_refused_; }
+
+ private:
+  // A query that waits, the channel of its key, and the hash of the baked car if it asks for a piece of one.
+  struct Query {
+    Channel channel;
+    std::string hash;
+    Message message;
+  };
+  void refuse_query(Net*, uint64_t ticket, const std::string& sentence);
+  void take_query(Net*, const NetEvent&, const Key&);
+  void take_sample(const NetEvent&, const Key&);
+  std::vector<std::shared_ptr<const Car>> all_cars(const World&) const;
+
+  std::string root_;  // "crumple/1/{scene}/"
+  const std::vector<std::shared_ptr<const Car>>& cars_;
+  std::vector<std::string> known_;  // ids of the hosts that had something in the scene a second ago
+  size_t newcomers_ = 0;            // samples of other hosts in this second
+  std::deque<Query> queries_;
+  size_t queries_bytes_ = 0;
+  uint64_t queries_refused_ = 0, keys_refused_ = 0;
+  Inbox samples_;
+  LatestInputs latest_;
+  WorldAnswers world_answers_;
+};
+
+}  // namespace crumple
