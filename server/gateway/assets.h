@@ -24,15 +24,15 @@ class ShownAssets {
   using Bytes = std::shared_ptr<const std::vector<uint8_t>>;
   using Hashes = std::set<std::string_view>;
   // of_cars: those of the cars that live. keeps: for the sake of painting, the bytes stay here too.
-  ShownAssets(Web*, client::Ask, std::function<Hashes()> of_cars, bool keeps);
+  ShownAssets(Web*, viewer::Ask, std::function<Hashes()> of_cars, bool keeps);
   // Fetches it, unless it is there.
-  void want(const std::string& hash, client::Time now);
+  void want(const std::string& hash, viewer::Time now);
   // A car that the gateway painted: browsers ask for it as soon as a car is made of it.
   void add_painted(const Car&);
   // The bytes of one that is there; null: none, or not kept.
   Bytes bytes(const std::string& hash) const;
   // Whether the event belonged to a question of this one.
-  bool take_reply(const NetEvent&, client::Time now);
+  bool take_reply(const NetEvent&, viewer::Time now);
 
  private:
   struct Shown {
@@ -49,7 +49,7 @@ class ShownAssets {
   Web* web_;
   std::function<Hashes()> of_cars_;
   bool keeps_;
-  client::Fetching fetching_;
+  viewer::Fetching fetching_;
   std::map<std::string, Shown, std::less<>> assets_;  // by hash
   uint64_t wanted_ = 0;                               // so far
 };

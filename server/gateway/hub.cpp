@@ -38,9 +38,9 @@ Hub::Hub(Net* net, Web* web, std::string root, bool keeps_assets)
 
 void Hub::begin() {
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
-    need(net_subscribe(net_, (root_ + key).c_str(), client::samples_waiting, client::sample_limit));
+    need(net_subscribe(net_, (root_ + key).c_str(), viewer::samples_waiting, viewer::sample_limit));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
-    need(net_subscribe(net_, (root_ + key).c_str(), 0, client::sample_limit));
+    need(net_subscribe(net_, (root_ + key).c_str(), 0, viewer::sample_limit));
   for (const char* key : {"server", "owner/*", "car/*"}) need(net_watch(net_, (root_ + key).c_str()));
 }
 
@@ -60,7 +60,7 @@ void Hub::tell_alive() {
   set("alive", {reinterpret_cast<const uint8_t*>(lines.data()), lines.size()});
 }
 
-void Hub::take_token(const Key& key, bool alive, client::Time now) {
+void Hub::take_token(const Key& key, bool alive, viewer::Time now) {
   if (key.channel == Channel::server) {
     server_ = alive;
     hosts_.clear();
@@ -80,13 +80,13 @@ void Hub::take_token(const Key& key, bool alive, client::Time now) {
   tell_alive();
 }
 
-void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_surface(const viewer::SurfaceNews& news, bool keyframe, std::span<const uint8_t> bytes, viewer::Time now) {
   if (!news.counts) return;
-  const client::Surface& surface = news.car->surface;
+  const viewer::Surface& surface = news.car->surface;
   const std::string& id = *news.id;
   ShownCar& car = cars_.at(id);
   Bytes whole;
-  if (keyframe && news.outcome.applied == client::Applied::whole && surface.key_tick < car.key_tick) {
+  if (keyframe && news.outcome.applied == viewer::Applied::whole && surface.key_tick < car.key_tick) {
     // Another owner is behind the one before: browsers drop older ticks, but not those of another car.
     need(web_forget(web_, ("car/" + id + "/").c_str()));
     car = {++lives_};
@@ -108,7 +108,7 @@ void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span
 
 // Each car gets a message of its own: a message with many cars would be replaced by the next one, which has others. The
 // strongest of a hit stays beside the last one: it says what the hit was, and is over before a slow browser looks.
-void Hub::take_reactions(std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_reactions(std::span<const uint8_t> bytes, viewer::Time now) {
   const auto* message = verified<schema::Reactions>(bytes);
   if (!message) return;
   for (const auto* from : *message->cars()) {
@@ -132,7 +132,7 @@ void Hub::take_reactions(std::span<const uint8_t> bytes, client::Time now) {
   }
 }
 
-void Hub::take_health(std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_health(std::span<const uint8_t> bytes, viewer::Time now) {
   const auto* message = verified<schema::Health>(bytes);
   if (!message) return;
   set("health", bytes);
@@ -141,7 +141,7 @@ void Hub::take_health(std::span<const uint8_t> bytes, client::Time now) {
 
 // Takes poses or obstacles, and checks them, because browsers read them without a check of their own.
 void Hub::take_told(Channel channel, std::string_view below, std::span<const uint8_t> bytes) {
-  if (bytes.size() > client::sample_limit || (hosts_.size() >= host_limit && !hosts_.contains(below))) return;
+  if (bytes.size() > viewer::sample_limit || (hosts_.size() >= host_limit && !hosts_.contains(below))) return;
   const bool good =
       channel == Channel::poses ? verified<schema::Poses>(bytes) != nullptr : verified<schema::Obstacles>(bytes) != nullptr;
   if (!good) return;
@@ -150,7 +150,7 @@ void Hub::take_told(Channel channel, std::string_view below, std::span<const uin
 }
 
 // below: the key below the scene's root, which `key` was parsed of.
-void Hub::take_sample(const Key& key, std::string_view below, std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_sample(const Key& key, std::string_view below, std::span<const uint8_t> bytes, viewer::Time now) {
   if (key.channel == Channel::health) return take_health(bytes, now);
   if (key.channel == Channel::reactions) return take_reactions(bytes, now);
   if (key.channel == Channel::poses || key.channel == Channel::obstacles) return take_told(key.channel, below, bytes);
@@ -171,7 +171,7 @@ void Hub::take_latest(std::span<const uint8_t> bytes) {
   }
 }
 
-void Hub::take_reply(const NetEvent& event, client::Time now) {
+void Hub::take_reply(const NetEvent& event, viewer::Time now) {
   const std::span<const uint8_t> bytes(event.data, event.size);
   const bool end = event.kind == NET_REPLY_END;
   if (event.ticket == asking_) {
@@ -183,7 +183,7 @@ void Hub::take_reply(const NetEvent& event, client::Time now) {
   }
 }
 
-void Hub::take(const NetEvent& event, client::Time now) {
+void Hub::take(const NetEvent& event, viewer::Time now) {
   if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) return take_reply(event, now);
   const std::string_view whole = event.key;
   const auto key = parse_key(whole, root_);
@@ -194,13 +194,13 @@ void Hub::take(const NetEvent& event, client::Time now) {
     take_token(*key, event.kind == NET_ALIVE, now);
 }
 
-void Hub::ask(client::Time now) {
-  if (late_ && !asking_ && now - asked_ >= client::ask_again) {
+void Hub::ask(viewer::Time now) {
+  if (late_ && !asking_ && now - asked_ >= viewer::ask_again) {
     asked_ = now;
-    asking_ = get(root_ + "inputs", {}, client::keyframe_patience);
+    asking_ = get(root_ + "inputs", {}, viewer::keyframe_patience);
   }
   following_.ask_due(now);
-  if (now - looked_ < client::ask_again) return;
+  if (now - looked_ < viewer::ask_again) return;
   looked_ = now;
   for (const auto& [id, car] : cars_)
     if (!car.asset.empty()) assets_.want(car.asset, now);

@@ -24,9 +24,9 @@ class Hub {
   Hub(const Hub&) = delete;  // what it asks comes back to it
   // Subscribes to the scene. Throws std::runtime_error if it cannot.
   void begin();
-  void take(const NetEvent&, client::Time now);
+  void take(const NetEvent&, viewer::Time now);
   // Asks for what is missing. To be called after each poll.
-  void ask(client::Time now);
+  void ask(viewer::Time now);
   ShownAssets& assets() { return assets_; }
 
  private:
@@ -36,33 +36,33 @@ class Hub {
     std::string asset = {};         // of its surface
     std::set<uint32_t> parts = {};  // of the surface, by their first nodes: browsers keep the latest of each
     float peak = 0;                 // impulse of the last hit, N s: the greatest of a tick
-    client::Time hit = {};          // when the last contact was told
+    viewer::Time hit = {};          // when the last contact was told
   };
   uint64_t get(const std::string& key, std::span<const uint8_t> payload, std::chrono::milliseconds patience) const;
   void set(const std::string& key, std::span<const uint8_t>);
   void tell_alive();
-  void take_token(const Key&, bool alive, client::Time now);
-  void take_sample(const Key&, std::string_view below, std::span<const uint8_t>, client::Time now);
-  void take_surface(const client::SurfaceNews&, bool keyframe, std::span<const uint8_t>, client::Time now);
-  void take_reactions(std::span<const uint8_t>, client::Time now);
-  void take_health(std::span<const uint8_t>, client::Time now);
+  void take_token(const Key&, bool alive, viewer::Time now);
+  void take_sample(const Key&, std::string_view below, std::span<const uint8_t>, viewer::Time now);
+  void take_surface(const viewer::SurfaceNews&, bool keyframe, std::span<const uint8_t>, viewer::Time now);
+  void take_reactions(std::span<const uint8_t>, viewer::Time now);
+  void take_health(std::span<const uint8_t>, viewer::Time now);
   void take_told(Channel, std::string_view below, std::span<const uint8_t>);
   void take_latest(std::span<const uint8_t>);
-  void take_reply(const NetEvent&, client::Time now);
+  void take_reply(const NetEvent&, viewer::Time now);
 
   Net* net_;
   Web* web_;
   std::string root_;
   bool server_ = false;
   uint64_t lives_;  // the last one; browsers stay when a gateway is started again, so it counts from the time
-  client::Following following_;
+  viewer::Following following_;
   ShownAssets assets_;
   std::map<std::string, ShownCar, std::less<>> cars_;  // those that live
-  client::Time looked_{};                              // for cars whose asset did not come
+  viewer::Time looked_{};                              // for cars whose asset did not come
   std::set<std::string, std::less<>> hosts_;           // keys of what they told
   bool late_ = false;                                  // what hosts told before is wanted
   uint64_t asking_ = 0;                                // ticket of the question for it; 0: none
-  client::Time asked_{};
+  viewer::Time asked_{};
 };
 
 }  // namespace crumple

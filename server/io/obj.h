@@ -5,11 +5,11 @@
 #include <span>
 #include <string>
 
-namespace crumple::client {
+namespace crumple {
 
 // rest, displacement: 3 numbers for each vertex, m. triangle: 3 vertices each. Throws std::runtime_error with one sentence if
 // it cannot be written.
 void write_obj(const std::string& path, std::string attribution, const std::string& car, uint64_t tick,
                std::span<const float> rest, std::span<const float> displacement, std::span<const uint32_t> triangle);
 
-}  // namespace crumple::client
+}  // namespace crumple

@@ -28,14 +28,14 @@ struct Shown {  // one car, as long as it has one asset
   std::shared_ptr<const Car> car;
   std::vector<std::array<uint32_t, 4>> at;  // per vertex: where in the skin's nodes its four are
   float quantum = 0;
-  std::vector<client::Quanta> shapes;  // those that differ from rest and from the one before
-  client::Quanta last;                 // the shape of the last key
+  std::vector<viewer::Quanta> shapes;  // those that differ from rest and from the one before
+  viewer::Quanta last;                 // the shape of the last key
   std::vector<Animation::Key> keys;
   double from = 0;  // s: time of the first frame
 };
 
 struct Actor {
-  client::Surface surface;
+  viewer::Surface surface;
   std::string host;
   Pose pose;
   std::optional<SpawnOrder> spawning;  // asked for, not answered yet
@@ -116,16 +116,16 @@ void take(const RecordingReader::Item& item, Export& out) {
   if (item.channel == Channel::reactions) return take_reactions(item, out);
   if ((item.channel != Channel::keyframe && item.channel != Channel::delta) || item.level != 0) return;
   Actor& actor = out.actors[std::string(item.key.substr(4, item.key.find('/', 4) - 4))];
-  client::Surface& surface = actor.surface;
+  viewer::Surface& surface = actor.surface;
   out.appeared |= !actor.shown;
-  const auto [applied, why] = item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
-                                                                : client::apply_delta(item.bytes, surface);
-  if (applied == client::Applied::refused)
+  const auto [applied, why] = item.channel == Channel::keyframe ? viewer::apply_keyframe(item.bytes, surface)
+                                                                : viewer::apply_delta(item.bytes, surface);
+  if (applied == viewer::Applied::refused)
     throw std::runtime_error(out.options.file + ": tick " + std::to_string(item.tick) + ": " + why);
 }
 
 // As a viewer computes it (crumple_copy).
-std::vector<Vec3> displacement(const Shown& shown, const client::Quanta& quanta) {
+std::vector<Vec3> displacement(const Shown& shown, const viewer::Quanta& quanta) {
   std::vector<Vec3> out(shown.at.size());
   for (size_t v = 0; v < out.size(); ++v) {
     Vec3 sum = Vec3::Zero();
@@ -174,7 +174,7 @@ void end(Actor& actor, Export& out) {
 }
 
 void show(const std::string& id, Actor& actor, uint64_t tick, double time, Export& out) {
-  const client::Surface& surface = actor.surface;
+  const viewer::Surface& surface = actor.surface;
   if (surface.quanta.empty()) return;
   if (actor.shown && actor.shown->car->hash != surface.asset) end(actor, out);
   const bool first = !actor.shown;
@@ -194,7 +194,7 @@ void show(const std::string& id, Actor& actor, uint64_t tick, double time, Expor
     const Model& model = shown.car->model;
     char name[32];
     std::snprintf(name, sizeof name, "_%06llu.obj", static_cast<unsigned long long>(tick));
-    client::write_obj(out.path(shown.name + name), shown.car->attribution, id, tick,
+    write_obj(out.path(shown.name + name), shown.car->attribution, id, tick,
                       {model.vertex.data()->data(), 3 * model.vertex.size()}, {moved.data()->data(), 3 * moved.size()},
                       model.triangle);
     ++out.objs;

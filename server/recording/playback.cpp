@@ -33,7 +33,7 @@ struct Playback {
   Net* net;
   std::string root;
   // By "car/{id}": what viewers of the playback on each level hold now.
-  std::map<std::string, std::array<client::Surface, surface_levels.size()>, std::less<>> cars;
+  std::map<std::string, std::array<viewer::Surface, surface_levels.size()>, std::less<>> cars;
   std::string despawning;  // its Command came, its Answer did not
   LatestInputs latest;
 };
@@ -47,7 +47,7 @@ void answer_keyframe(Playback& playback, const NetEvent& query, const Key& key) 
   const auto car = playback.cars.find("car/" + std::string(key.id));
   if (car == playback.cars.end() || car->second[key.number].key.empty())
     return refuse(playback, query, "car " + std::string(key.id) + " does not live at this point of the recording");
-  const client::Surface& surface = car->second[key.number];
+  const viewer::Surface& surface = car->second[key.number];
   const auto parts = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key,
                                      static_cast<uint32_t>(surface.key.size() / 3));
   net_reply(playback.net, query.ticket, parts.front().data(), parts.front().size(), 0);
@@ -81,9 +81,9 @@ void follow(Playback& playback, const RecordingReader::Item& item) {
   if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
     const std::string car(item.key.substr(0, item.key.find('/', 4)));
     const auto [at, fresh] = playback.cars.try_emplace(car);
-    client::Surface& surface = at->second[item.level];
-    static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
-                                                        : client::apply_delta(item.bytes, surface));
+    viewer::Surface& surface = at->second[item.level];
+    static_cast<void>(item.channel == Channel::keyframe ? viewer::apply_keyframe(item.bytes, surface)
+                                                        : viewer::apply_delta(item.bytes, surface));
     if (fresh) net_announce(playback.net, (playback.root + car).c_str());
   } else if (item.channel == Channel::command) {
     flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());

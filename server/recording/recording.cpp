@@ -285,6 +285,11 @@ void RecordingReader::read_metadata() {
     root_ = root_of(head_.scene);
     return;
   }
+  const char* type;
+  const uint8_t* bytes;
+  size_t size;
+  if (reader_metadata(reader_, 0, &name, &pairs) != 1 && reader_attachment(reader_, 0, &name, &type, &bytes, &size) != 1)
+    throw std::runtime_error(path_ + ": is empty: its server was killed before it recorded, perhaps while it stood by; delete it");
   throw std::runtime_error(path_ + ": has no metadata \"crumple\": it is not a recording of `crumple serve --record`");
 }
 

@@ -8,7 +8,7 @@
 #include <span>
 #include <string>
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 using Time = std::chrono::steady_clock::time_point;
 
@@ -21,4 +21,4 @@ using Ask =
 // trouble at each message.
 inline constexpr std::chrono::milliseconds ask_again{500};
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

@@ -10,7 +10,7 @@
 
 #include "viewer/ask.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 // After this long without a piece the fetch has failed: on a line of 210 kbit/s a piece takes 10 s.
 inline constexpr std::chrono::milliseconds piece_patience{10'000};
@@ -51,4 +51,4 @@ struct Fetching {
   std::optional<AssetNews> end(uint64_t ticket);  // no more answers come
 };
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

@@ -4,7 +4,7 @@
 
 #include "schema/message_generated.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 namespace {
 
 using Entry = std::pair<const std::string, FollowedCar>;
@@ -168,4 +168,4 @@ void Following::ask_due(Time now) {
   }
 }
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

@@ -16,7 +16,7 @@ namespace crumple::schema {
 struct Health;
 }
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 // After this long without a keyframe the viewer asks for it again.
 inline constexpr std::chrono::milliseconds keyframe_patience{3000};
@@ -80,4 +80,4 @@ struct Following {
   void ask_due(Time now);
 };
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

@@ -10,7 +10,7 @@
 #include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 namespace {
 
 Outcome refuse(std::string why) { return {Applied::refused, std::move(why)}; }
@@ -96,4 +96,4 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
   return {Applied::whole, {}};
 }
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

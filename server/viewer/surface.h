@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 using Quanta = std::vector<int16_t>;  // 3 for each node of the skin
 
@@ -46,4 +46,4 @@ struct Outcome {
 [[nodiscard]] Outcome apply_keyframe(std::span<const uint8_t>, Surface&);
 [[nodiscard]] Outcome apply_delta(std::span<const uint8_t>, Surface&);
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

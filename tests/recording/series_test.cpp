@@ -326,6 +326,20 @@ TEST_F(LongRun, TheIndexTakesNoMoreMemoryThanItIsThoughtTo) {
 }
 
 // Longer than a record may be, and than the recorder's queue.
+TEST_F(LongRun, AFileThatASignalLeftBeforeItBeganIsSaidToBeEmpty) {
+  Scene scene;
+  const Series standby(scene.options(path("standby.mcap")), *scene.world, scene.latest);
+  ASSERT_TRUE(until([&] { return fs::file_size(path("standby.mcap")) > 0; }));
+  fs::copy_file(path("standby.mcap"), path("left.mcap"));  // as SIGKILL would leave it
+  try {
+    RecordingReader reader(path("left.mcap"));
+    FAIL() << "it was read";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("is empty: its server was killed before it recorded"), std::string::npos)
+        << error.what();
+  }
+}
+
 TEST_F(LongRun, AWorldOfManyDamagedCarsIsRecordedInPieces) {
   RecordingHead head;
   head.scene = "main";
