@@ -15,9 +15,8 @@ namespace {
 
 constexpr double notice = 0.5;       // s: a car may change its level this long before something can touch it
 constexpr double shortest_stay = 1;  // s on one level
-constexpr double reluctance =
-    0.8;  // a car leaves its level for a coarser one when it wants less than this share of the level's nodes
-constexpr double spare = 0.2;  // share of the budget that must remain free before a car goes to a finer level
+constexpr double reluctance = 0.8;   // a car leaves its level for a coarser one if it wants less than this share of its nodes
+constexpr double spare = 0.2;        // share of the budget that must remain free before a car goes to a finer level
 
 size_t nodes(const Car& car) { return car.model.node.size(); }
 
