@@ -22,7 +22,7 @@ const char* net_endpoint(const Net*);
 // Undeclares everything, joins all threads.
 void net_close(Net*);
 
-enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // the values of zenoh
+enum NetPriority { NET_REAL_TIME = 1, NET_HIGH = 2, NET_DATA = 5, NET_LOW = 6 };  // zenoh's values
 
 // Copies the data and returns at once; a thread of the session publishes in order. The first put on a key declares its
 // publisher, which stays until net_withdraw; at most NET_KEYS, then TRANSPORT_DROPPED. A session does not receive its own

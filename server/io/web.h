@@ -13,8 +13,8 @@ typedef struct Web Web;
 // up to 128 from one address) with a state: bytes under keys. Each WebSocket message is a batch of what was set since the last
 // one, each key once, in the order of setting, up to 256 KiB or one key. Per key:
 //   u16 size of the key, u32 size of the bytes, u32 ms since they were set, the key, the bytes     (little endian)
-// The browser answers each batch with an empty binary message. It gets further batches while at most 4 are unanswered, and is
-// disconnected when it answers nothing for 30 s. So a slow or frozen browser costs 4 batches, and later continues with the
+// The browser answers each batch with an empty binary message. It gets further batches while fewer than 4 are unanswered, and
+// is disconnected when it answers nothing for 30 s. So a slow or frozen browser costs 4 batches, and later continues with the
 // present state. Requests from pages of other sites are refused by Origin and, on loopback, by Host. Every answer has a
 // Content-Security-Policy: a page may use scripts and styles only from itself or from this server, and no page may show it in a
 // frame. The server has its own threads.
@@ -26,8 +26,7 @@ uint64_t web_refused(const Web*);
 // Sets the answer to GET path.
 int web_page(Web*, const char* path, const char* media_type, const void* data, size_t size);
 int web_set(Web*, const char* key, const void* data, size_t size);
-// Removes all pages and all of the state whose path or key has this prefix, for new requests and new browsers. Connected
-// browsers are not told.
+// Removes the pages, and the part of the state, whose path or key has this prefix. Browsers that are connected are not told.
 int web_forget(Web*, const char* prefix);
 // From now on browsers' POST requests, up to 1 MiB each, wait for web_next. At most 64 may arrive or wait, half of them from
 // one address; each has 30 s to arrive and 30 s to be answered. Before this call POST is refused.
