@@ -8,9 +8,9 @@
 namespace crumple {
 namespace {
 
-// Those that no car is of any more.
+// Most assets that no living car uses.
 constexpr size_t spare_limit = 8;
-// Bytes of all together; with control twice as many (one of 10,000 nodes has 4 MB).
+// Most bytes of all assets (one of 10,000 nodes has 4 MB). With control the gateway holds them twice.
 constexpr size_t assets_limit = size_t{1} << 30;
 
 }  // namespace
