@@ -1,5 +1,6 @@
 #include "viewer/follow.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "schema/message_generated.h"
@@ -9,9 +10,16 @@ namespace {
 
 using Entry = std::pair<const std::string, FollowedCar>;
 
-// Asks at once; but if the last question brought nothing, waits before it asks again.
+// Whether another question may be put now. A car of which something has come is asked for at once.
+bool may_ask(const Following& all, const FollowedCar& car) {
+  return all.tickets.size() < questions_limit || car.last != Time{} || !car.surface.quanta.empty();
+}
+
+// Asks at once, but waits before it asks again if the last answer brought nothing: each time twice as long.
 void ask_for_keyframe(Following& all, const std::string& id, FollowedCar& car, Time now) {
-  if (car.asking || (car.owed && now - car.asked < ask_again)) return;
+  if (car.asking || (car.owed && now - car.asked < car.pause)) return;
+  if (!may_ask(all, car)) return;  // ask_due() tries again
+  car.pause = car.owed ? std::min(2 * car.pause, longest_pause) : ask_again;
   car.owed = true;
   car.asking = all.ask(all.root + "car/" + id + "/key/" + std::to_string(car.level), {}, keyframe_patience);
   if (!car.asking) return;
@@ -163,7 +171,7 @@ void Following::doubt(Time now) {
 
 void Following::ask_due(Time now) {
   for (auto& [id, car] : cars) {
-    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > ask_again;
+    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > car.pause;
     if (unanswered || (car.unsure && now - car.last > silence)) ask_for_keyframe(*this, id, car, now);
   }
 }

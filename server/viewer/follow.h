@@ -28,6 +28,11 @@ inline constexpr std::chrono::milliseconds on_its_way{100};
 // Anyone who may publish can invent cars, so a viewer that follows all cars follows at most this many: as many as four scenes
 // have.
 inline constexpr size_t cars_limit = 4'096;
+// Anyone who may publish tokens can also make each viewer ask for 4,096 cars that are not there: with eight viewers at a router
+// that deafened it for 26 s. So a viewer waits for so many answers at a time, unless something of the car has come already; and
+// it asks less and less often for a keyframe that does not come.
+inline constexpr size_t questions_limit = 64;
+inline constexpr std::chrono::milliseconds longest_pause{8000};
 // A subscription to surfaces or reactions keeps at most this many samples until they are polled, of at most this many bytes
 // each: a part of a surface has at most 64,000, reactions of 1,000 cars have 200,000.
 inline constexpr uint32_t samples_waiting = 4'096;
@@ -45,8 +50,9 @@ struct FollowedCar {
   bool owed = false;      // the viewer asked for a keyframe that has not come
   bool fresh = true;      // the car, its owner or its level is new: the next keyframe counts, whatever its tick
   Time asked{};           // when the viewer last asked for its keyframe
-  uint64_t asking = 0;    // ticket of the question for the keyframe; 0: none
-  Time last{};            // when its last message came
+  std::chrono::milliseconds pause = ask_again;  // before it asks again
+  uint64_t asking = 0;                          // ticket of the question for the keyframe; 0: none
+  Time last{};                                  // when its last message came
 };
 
 // The effect of a keyframe or a delta.

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -126,6 +127,55 @@ TEST(Viewer, AsksNothingTwiceWhileTheAnswerMayStillCome) {
   EXPECT_EQ(one.questions.size(), 2u);
 }
 
+TEST(Viewer, AsksLessAndLessOftenForAKeyframeThatDoesNotCome) {
+  Follower one;
+  one.token(true);
+  std::vector<std::chrono::milliseconds> pauses;
+  for (auto asked = one.now; one.now < viewer::Time{1h + 40s}; one.pass(10ms)) {
+    if (one.questions.size() == pauses.size() + 1) {
+      if (!pauses.empty()) pauses.back() = std::chrono::duration_cast<std::chrono::milliseconds>(one.now - asked);
+      pauses.push_back({});
+      asked = one.now;
+    }
+    one.answer(one.last().ticket, 0, 0, true);
+  }
+  ASSERT_GE(pauses.size(), 7u);
+  for (size_t k = 0; k + 1 < pauses.size(); ++k)
+    EXPECT_NEAR(double(pauses[k].count()), double(std::min(viewer::ask_again * (1 << k), viewer::longest_pause).count()), 20)
+        << k;
+  one.token(false);
+  const size_t before = one.questions.size();
+  one.token(true);
+  EXPECT_EQ(one.questions.size(), before + 1) << "the next car of this id is asked for at once";
+}
+
+// Whoever may publish may say that cars are there. Without the limit each viewer asked for all of them twice a second.
+TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndARealOneComesFirst) {
+  Follower one;
+  constexpr size_t invented = 1000;
+  const auto is_open = [&] { return one.all.tickets.size(); };
+  for (size_t k = 0; k < invented; ++k) one.all.take_token(*parse_key("car/0-" + std::to_string(k)), true, one.now);
+  EXPECT_EQ(is_open(), viewer::questions_limit);
+  one.token(true);
+  EXPECT_EQ(is_open(), viewer::questions_limit) << "it waits as well";
+  EXPECT_EQ(one.delta(20, 2, 19, 1), Applied::missing_keyframe);
+  EXPECT_EQ(is_open(), viewer::questions_limit + 1) << "something of this one has come";
+  EXPECT_EQ(one.last().key, "crumple/1/main/car/a/key/0");
+  one.answer(one.last().ticket, 20, 2);
+  EXPECT_EQ(one.held(), 20u);
+  std::set<std::string> asked;
+  for (; one.now < viewer::Time{1h + 60s}; one.pass(50ms)) {
+    EXPECT_LE(is_open(), viewer::questions_limit);
+    const auto open = one.all.tickets;
+    for (const auto& [ticket, id] : open) {
+      asked.insert(id);
+      one.answer(ticket, 0, 0, true);
+    }
+  }
+  EXPECT_EQ(asked.size(), invented) << "each is asked for";
+  EXPECT_LT(one.questions.size(), 14 * invented) << "in a minute";
+}
+
 TEST(Viewer, AsksOnceWhereACarFellSilentAfterAMessage) {
   Follower one;
   one.settle();
@@ -203,7 +253,7 @@ TEST(Viewer, FollowsNoMoreCarsThanItsLimit) {
   for (size_t k = 0; k < viewer::cars_limit + 10; ++k)
     one.all.take_token(*parse_key("car/" + std::to_string(k)), true, one.now);
   EXPECT_EQ(one.all.cars.size(), viewer::cars_limit);
-  EXPECT_EQ(one.questions.size(), viewer::cars_limit);
+  EXPECT_EQ(one.questions.size(), viewer::questions_limit);
   Follower other(false);
   other.token(true);
   EXPECT_TRUE(other.all.cars.empty()) << "nobody follows it";
