@@ -127,18 +127,18 @@ void whole_loop(const Scene& scene, Lane& lane) {
   update_skin(scene, lane);
 }
 
-// Four sub-steps of `nodal`, timed room by room by the timer that also feeds the server's health.
+// Four sub-steps of `nodal`, timed stage by stage by the timer that also feeds the server's health.
 class RoomTimes final : public Timer {
  public:
   std::array<double, 3> seconds{};
-  void enter(Room room) override {
-    room_ = room;
+  void enter(SolveStage stage) override {
+    stage_ = stage;
     start_ = thread_seconds();
   }
-  void leave() override { seconds[size_t(room_)] += thread_seconds() - start_; }
+  void leave() override { seconds[size_t(stage_)] += thread_seconds() - start_; }
 
  private:
-  Room room_ = Room::contacts;
+  SolveStage stage_ = SolveStage::contacts;
   double start_ = 0;
 };
 
@@ -155,16 +155,16 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
     for (auto _ : state) {
       lane.body = scene.body;
       lane.motion = scene.motion;
-      const double before = times.seconds[size_t(Room::solve)];
+      const double before = times.seconds[size_t(SolveStage::solve)];
       lane.result = deform({scene.car->model, parameters, scene.mass, scene.wall, 4 * substep_seconds(parameters)},
                            *lane.scratch, lane.body, lane.motion, &times);
-      state.SetIterationTime(times.seconds[size_t(Room::solve)] - before);
+      state.SetIterationTime(times.seconds[size_t(SolveStage::solve)] - before);
       substeps += lane.result.substeps;
     }
     const double milli = 1000 / std::max(1.0, substeps);  // a sub-step, in ms
     state.counters["substeps"] = lane.result.substeps;
-    state.counters["contacts_ms"] = times.seconds[size_t(Room::contacts)] * milli;
-    state.counters["flow_ms"] = times.seconds[size_t(Room::flow)] * milli;
+    state.counters["contacts_ms"] = times.seconds[size_t(SolveStage::contacts)] * milli;
+    state.counters["flow_ms"] = times.seconds[size_t(SolveStage::flow)] * milli;
   });
 }
 

@@ -8,20 +8,10 @@
 namespace crumple {
 namespace {
 
-struct RoomTimer {
-  Timer* timer;
-  RoomTimer(Timer* t, Room room) : timer(t) {
-    if (timer) timer->enter(room);
-  }
-  ~RoomTimer() {
-    if (timer) timer->leave();
-  }
-};
-
 // Moves the car's frame and finds the contacts. Returns false if the body stays at rest, so that its shape need not be solved.
 bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& scratch, StepState& state, Timer* timer) {
   auto& [body, motion, result, spring] = state;
-  const RoomTimer room(timer, Room::contacts);
+  const StageTimer stage(timer, SolveStage::contacts);
   if (!find_contacts(body, input.obstacles, {motion.pose, to, now.start, now.seconds}, scratch.contacts)) {
     result.contact_overflow = true;
   }
@@ -44,7 +34,7 @@ float step(const StepInput& input, const Substep& now, Scratch& scratch, StepSta
   }
   const float h = float(now.seconds) * (body.touching ? 1 : after_touch(contacts.contact));
   {
-    const RoomTimer room(timer, Room::solve);
+    const StageTimer stage(timer, SolveStage::solve);
     index_contacts(input.model.node.size(), contacts);
     hold_anchors(input.model, contacts, body);
     start = body.node;
@@ -55,7 +45,7 @@ float step(const StepInput& input, const Substep& now, Scratch& scratch, StepSta
   }
   settle(h, start, body);
   {
-    const RoomTimer room(timer, Room::flow);
+    const StageTimer stage(timer, SolveStage::flow);
     const double taken = flow_nodal(input.model, solver, body);
     body.absorbed += taken;
     spring -= taken;
@@ -88,7 +78,7 @@ void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Ti
   const Substep whole{0, input.seconds, float(input.seconds)};
   if (!meet(input, whole, advance(motion, input.mass, input.seconds), scratch, state, timer)) return;
   back_up(body, scratch.backup);
-  const RoomTimer room(timer, Room::solve);
+  const StageTimer stage(timer, SolveStage::solve);
   scratch.start = body.node;
   solve_classic(input.model, input.parameters, contacts, body);
   settle(float(input.seconds), scratch.start, body);
@@ -105,31 +95,13 @@ void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Ti
 void ScratchDeleter::operator()(Scratch* scratch) const { delete scratch; }
 ScratchHandle make_scratch() { return ScratchHandle(new Scratch); }
 
-bool wakes(const StepInput& input, Scratch& scratch, const DeformableState& body, Motion motion) {
-  ContactSet& contacts = scratch.contacts;
-  find_candidates(input, body, motion, contacts);
-  if (contacts.candidate.empty()) return body.touching;
-  const bool whole = input.parameters.solver == Solver::classic;
-  const int count = whole ? 1 : choose_substeps(input, contacts, body, motion);
-  const double h = input.seconds / count;
-  float drift = body.drift;
-  for (int k = 0; k < count; ++k) {
-    const Pose to = path(input.mass, body, motion, h);
-    find_contacts(body, input.obstacles, {motion.pose, to, k * h, h}, contacts);
-    motion.pose = to;
-    if (is_woken(h, contacts.contact, body, drift)) return true;
-    if (body.touching) push(h * body.force, h * body.moment, input.mass, motion);
-  }
-  return false;
-}
-
 StepResult deform(const StepInput& input, Scratch& scratch, DeformableState& body, Motion& motion, Timer* timer) {
   const Motion begin = motion;
   StepState state{body, motion};
   StepResult& result = state.result;
   scratch.backup.taken = false;
   {
-    const RoomTimer room(timer, Room::contacts);
+    const StageTimer stage(timer, SolveStage::contacts);
     find_candidates(input, body, motion, scratch.contacts);
   }
   if (scratch.contacts.candidate.empty() && body.settled && !body.touching) {

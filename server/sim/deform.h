@@ -8,16 +8,9 @@
 
 #include "sim/step.h"
 #include "sim/substeps.h"
+#include "sim/timer.h"
 
 namespace crumple {
-
-// Measures the seconds spent in each part of the tick, for health. The caller supplies the clock, so the tick reads none.
-enum class Room : uint8_t { contacts, solve, flow };
-struct Timer {
-  virtual ~Timer() = default;
-  virtual void enter(Room) = 0;
-  virtual void leave() = 0;
-};
 
 // Memory of one tick (scratch.h); one per thread, reused.
 struct Scratch;
@@ -29,8 +22,5 @@ ScratchHandle make_scratch();
 
 // Advances body and motion by input.seconds.
 StepResult deform(const StepInput&, Scratch&, DeformableState&, Motion&, Timer* = nullptr);
-
-// Whether deform() would wake and solve this settled body.
-bool wakes(const StepInput&, Scratch&, const DeformableState&, Motion);
 
 }  // namespace crumple

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "sim/skin.h"
+#include "sim/wakes.h"
 #include "tick/budget.h"
 #include "tick/health.h"
 #include "tick/inbox.h"
@@ -24,23 +25,23 @@ constexpr uint64_t reaction_echo =
 
 constexpr uint8_t waking = 3;  // ticks that a touch takes to spread over the body
 
-class RoomTimer final : public Timer {
+class StageClock final : public Timer {
  public:
-  RoomTimer(const std::function<double()>& clock, StageTimes& times) : clock_(clock), times_(times) {}
-  void enter(Room room) override {
-    room_ = room;
+  StageClock(const std::function<double()>& clock, StageTimes& times) : clock_(clock), times_(times) {}
+  void enter(SolveStage stage) override {
+    stage_ = stage;
     start_ = clock_();
   }
-  void leave() override { times_[size_t(Stage::contacts) + size_t(room_)] += clock_() - start_; }
+  void leave() override { times_[size_t(Stage::contacts) + size_t(stage_)] += clock_() - start_; }
 
  private:
   const std::function<double()>& clock_;
   StageTimes& times_;
-  Room room_ = Room::contacts;
+  SolveStage stage_ = SolveStage::contacts;
   double start_ = 0;
 };
-static_assert(size_t(Stage::solve) == size_t(Stage::contacts) + size_t(Room::solve));
-static_assert(size_t(Stage::flow) == size_t(Stage::contacts) + size_t(Room::flow));
+static_assert(size_t(Stage::solve) == size_t(Stage::contacts) + size_t(SolveStage::solve));
+static_assert(size_t(Stage::flow) == size_t(Stage::contacts) + size_t(SolveStage::flow));
 
 bool touched(const StepResult& result) {
   return result.contacts > 0 || result.deepest > 0 || !result.impulse.isZero(0) || !result.angular_impulse.isZero(0);
@@ -57,7 +58,7 @@ void receive(const World& world, Instance& car) {
 // Advances the rigid motion and the body by one tick.
 void move(const World& world, Instance& car, Worker& worker) {
   const Motion before = car.motion;
-  RoomTimer timer(world.clock, worker.times);
+  StageClock timer(world.clock, worker.times);
   Parameters parameters = car.parameters;
   parameters.iterations = car.sweeps;
   parameters.substeps = car.substeps;

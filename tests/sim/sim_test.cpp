@@ -10,6 +10,7 @@
 #include "sim/classic.h"
 #include "sim/flow.h"
 #include "sim/scratch.h"
+#include "sim/wakes.h"
 
 namespace crumple {
 namespace {

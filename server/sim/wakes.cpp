@@ -1,0 +1,26 @@
+#include "sim/wakes.h"
+
+#include "sim/rest.h"
+#include "sim/scratch.h"
+
+namespace crumple {
+
+bool wakes(const StepInput& input, Scratch& scratch, const DeformableState& body, Motion motion) {
+  ContactSet& contacts = scratch.contacts;
+  find_candidates(input, body, motion, contacts);
+  if (contacts.candidate.empty()) return body.touching;
+  const bool whole = input.parameters.solver == Solver::classic;
+  const int count = whole ? 1 : choose_substeps(input, contacts, body, motion);
+  const double h = input.seconds / count;
+  float drift = body.drift;
+  for (int k = 0; k < count; ++k) {
+    const Pose to = path(input.mass, body, motion, h);
+    find_contacts(body, input.obstacles, {motion.pose, to, k * h, h}, contacts);
+    motion.pose = to;
+    if (is_woken(h, contacts.contact, body, drift)) return true;
+    if (body.touching) push(h * body.force, h * body.moment, input.mass, motion);
+  }
+  return false;
+}
+
+}  // namespace crumple
