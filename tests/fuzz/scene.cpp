@@ -11,7 +11,7 @@
 namespace crumple::fuzz {
 namespace {
 
-// The part of the sentence after the file's name.
+// Reports the sentence without the file's name.
 bool saw_refusal(const std::exception& refused, const MemoryFile& file) {
   const std::string_view sentence = refused.what();
   saw(sentence.substr(std::min(sentence.size(), file.path().size())));
