@@ -75,7 +75,7 @@ struct Schedule {
 
 Schedule* schedule = nullptr;
 
-constexpr Time longest_calm = 200 * second;  // a standby pauses for at most 60 s, and the fetch before may take as long
+constexpr Time longest_calm = 200 * second;  // a standby pauses for at most 60 s, after an attempt that may take as long
 const std::string root = "crumple/1/main/";
 
 void broken(const std::string& law) {
