@@ -108,10 +108,10 @@ void measure(const Car& car, const std::vector<Vec3>& sent, const std::vector<Ve
     quantise(sent, quantum, quanta);
     parts = encode_delta(head, quanta, 1, rest);
   });
-  client::Surface at_rest, held;
+  viewer::Surface at_rest, held;
   for (const Bytes& part : encode_keyframe({1, car.hash, quantum}, rest)) {
-    if (client::apply_keyframe({reinterpret_cast<const uint8_t*>(part.data()), part.size()}, at_rest).applied ==
-        client::Applied::refused)
+    if (viewer::apply_keyframe({reinterpret_cast<const uint8_t*>(part.data()), part.size()}, at_rest).applied ==
+        viewer::Applied::refused)
       throw std::runtime_error("a keyframe is refused");
   }
   double best = 1e9;
@@ -119,7 +119,7 @@ void measure(const Car& car, const std::vector<Vec3>& sent, const std::vector<Ve
     held = at_rest;
     const auto start = std::chrono::steady_clock::now();
     for (const Bytes& part : parts) {
-      static_cast<void>(client::apply_delta({reinterpret_cast<const uint8_t*>(part.data()), part.size()}, held));
+      static_cast<void>(viewer::apply_delta({reinterpret_cast<const uint8_t*>(part.data()), part.size()}, held));
     }
     best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
   }

@@ -124,13 +124,13 @@ const Table* read_as(const Bytes& bytes) {
 
 // A viewer of one car on one surface level.
 struct Viewer {
-  client::Surface surface;
+  viewer::Surface surface;
   std::string level = "0";
 
   const std::vector<int16_t>& key() const { return surface.key; }
   const std::vector<int16_t>& held() const { return surface.quanta; }
-  void take_keyframe(const Bytes& bytes) { expect_taken(client::apply_keyframe(bytes_of(bytes), surface)); }
-  void take_delta(const Bytes& bytes) { expect_taken(client::apply_delta(bytes_of(bytes), surface)); }
+  void take_keyframe(const Bytes& bytes) { expect_taken(viewer::apply_keyframe(bytes_of(bytes), surface)); }
+  void take_delta(const Bytes& bytes) { expect_taken(viewer::apply_delta(bytes_of(bytes), surface)); }
   void take(const Message& message) {
     if (message.key.ends_with("/key/" + level)) take_keyframe(message.bytes);
     if (message.key.ends_with("/delta/" + level)) take_delta(message.bytes);
@@ -140,8 +140,8 @@ struct Viewer {
   static std::span<const uint8_t> bytes_of(const Bytes& bytes) {
     return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()};
   }
-  static void expect_taken(const client::Outcome& outcome) {
-    EXPECT_NE(outcome.applied, client::Applied::refused) << outcome.why;
+  static void expect_taken(const viewer::Outcome& outcome) {
+    EXPECT_NE(outcome.applied, viewer::Applied::refused) << outcome.why;
   }
 };
 

@@ -23,6 +23,7 @@
 
 namespace crumple::client {
 
+using namespace viewer;
 using Clock = std::chrono::steady_clock;
 
 // A session that was not polled for this long may hold an old surface, and more old messages may still be waiting for it.

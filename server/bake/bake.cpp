@@ -27,7 +27,7 @@ namespace {
 constexpr std::string_view built_in = "built-in";
 constexpr size_t default_vertices = 1'259;  // the thesis's smaller surface
 
-// What is cheap to know before the tets are made.
+// Checks that are cheap enough to be made before the tets.
 void check_options(const BakeOptions& options) {
   if (options.mass != 0 && !(options.mass >= least_mass && options.mass <= most_mass))
     throw std::runtime_error("--mass: give the car's mass in kg, from 10 to 100000.");
@@ -123,7 +123,8 @@ void report_result(const Parts& parts, std::vector<std::string>& report) {
                    (skin.nearest ? ", at most " + text_of(1000 * skin.farthest, "%.1f") + " mm away" : ""));
 }
 
-// Tets of another car, in other axes, or of a surface that encloses next to nothing. A few far vertices are an aerial.
+// Refuses tets of another car, tets in other axes, and surfaces that enclose next to nothing. A few far vertices may be an
+// aerial.
 void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions& options) {
   Eigen::AlignedBox3f box;
   for (const Vec3& vertex : surface.vertex) box.extend(vertex);
@@ -172,12 +173,12 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
 bool is_baked_car(const std::filesystem::path& file) {
   char head[8] = {};
   std::error_code none;
-  if (!std::filesystem::is_regular_file(file, none)) return false;  // to open a pipe would wait
+  if (!std::filesystem::is_regular_file(file, none)) return false;  // opening a pipe would wait
   std::ifstream(file, std::ios::binary).read(head, sizeof head);
   return schema::CarBufferHasIdentifier(head);
 }
 
-// Nodes, tets and vertices are in spatial order already, and ordering those again changes nothing.
+// Nodes, tets and vertices are in spatial order already, and ordering them again changes nothing.
 BakeResult rebake(const Car& car, BakeOptions options) {
   check_options(options);
   const Model& model = car.model;

@@ -1,6 +1,6 @@
-// From a surface mesh to a baked car: import, tets, constraints, skin, regions, spatial order, one file. Each step is a file of
-// its own beside this one; bake() is their table of contents. The same surface and the same tets give the same bytes; fTetWild
-// gives slightly other tets each time, so a car that must be the same again is kept, or its tets are.
+// From a surface mesh to a baked car: import, tets, constraints, skin, regions, spatial order, one file. Each step has its own
+// file here; bake() calls them in order. The same surface and the same tets give the same bytes. fTetWild gives slightly
+// different tets each time, so keep a car, or its tets, if it must stay the same.
 #pragma once
 
 #include <memory>
@@ -17,7 +17,7 @@ namespace crumple {
 
 struct BakeOptions {
   std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
-  size_t nodes = 2'500;                // wanted from fTetWild, met within 15 %
+  size_t nodes = 2'500;                // wanted nodes, reached within 15 % by fTetWild
   std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: fTetWild
   std::optional<RegionsText> regions;  // none: the default safety cell
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass
@@ -29,21 +29,21 @@ inline constexpr double default_mass = 1'500;  // kg
 
 struct BakeResult {
   std::shared_ptr<const Car> car;
-  std::vector<std::string> report;  // what was read, made, dropped and reached; one fact a line
+  std::vector<std::string> report;  // what was read, made, dropped and reached; one fact per line
 };
 
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 BakeResult bake(const BakeOptions&, const Progress&);
 
-// The part of it that comes after the tets; what tests and benchmarks call.
+// The steps after the tets. Tests and benchmarks call it.
 BakeResult assemble_car(Surface, TetMesh, const BakeOptions&);
 
 bool is_baked_car(const std::filesystem::path& file);
-// A baked car painted anew: its surface, tets and skin stay; regions, anchors and what depends on them become what a bake of
-// its input with these options would have given. No tets are made, so it takes milliseconds.
+// Paints a baked car anew: surface, tets and skin stay; regions, anchors and everything that depends on them become what a bake
+// with these options would give. It makes no tets, so it takes milliseconds.
 BakeResult rebake(const Car&, BakeOptions);
 
-// Leaves the whole car or nothing. Throws like bake.
+// Writes the whole file or none. Throws like bake().
 void write_car(const Car&, const std::filesystem::path& file);
 
 }  // namespace crumple

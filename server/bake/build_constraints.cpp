@@ -21,7 +21,7 @@ void list_corners(const TetMesh& mesh, Constraints& out) {
     for (uint32_t k = 0; k < 4; ++k) out.corner[next[mesh.tet[t].node[k]]++] = 4 * t + k;
 }
 
-// The tets around a node name its neighbours several times each (five on average); sorting so short a list is cheaper than
+// The tets around a node name its neighbours several times each (five on average). Sorting such short lists is cheaper than
 // sorting all six edges of all tets at once.
 void list_edges(const TetMesh& mesh, Constraints& out) {
   std::vector<uint32_t> neighbours;

@@ -1,5 +1,5 @@
-// From tets to everything that the solvers read: unique edges, rest lengths, rest gradients, rest volumes, who shares what,
-// and lumped masses. Pure: the same mesh gives the same arrays. Computed in double, stored in single precision.
+// From tets to the arrays that the solvers read: unique edges, rest lengths, rest gradients, rest volumes, the corners around
+// each node, and lumped masses. The same mesh gives the same arrays. Computed in double, stored in single precision.
 #pragma once
 
 #include <span>
@@ -19,10 +19,10 @@ struct Constraints {
   std::vector<uint32_t> corner;      // 4 t: 4 * tet + corner, sorted within a node
 };
 
-// Six times the rest volume is the determinant of the edge matrix; positive for a positively oriented tet.
+// The volume of a tet, m^3: a sixth of the determinant of its edge matrix. Positive if the tet is positively oriented.
 double tet_volume(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d);
 
-// The mesh must be positively oriented, every node used, every index in range.
+// The mesh must be positively oriented, use every node, and have all indices in range.
 Constraints build_constraints(const TetMesh&);
 
 struct Masses {
@@ -31,7 +31,7 @@ struct Masses {
   Vec3 inertia;             // about the centre along the car's axes, kg m^2
 };
 
-// Spreads `mass` (kg) over the tets by volume, and a quarter of each tet's to each of its corners.
+// Spreads `mass` (kg) over the tets by volume, and each tet's mass equally over its four corners.
 Masses lump_masses(const TetMesh&, std::span<const float> tet_rest, double mass);
 
 }  // namespace crumple

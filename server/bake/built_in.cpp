@@ -1,6 +1,6 @@
 // A parametric saloon car: cross-sections along x, each drawn through a few profile curves (roof line, shoulder line, sill,
-// half widths), with wheel arches cut into the sides. Only the left half is built, then mirrored: the surface is closed, has no
-// handles (so any vertex count is possible) and is exactly symmetric. Longest edges are split until the count is met.
+// half widths), with wheel arches cut into the sides. Only the left half is built, then mirrored. The surface is closed, has no
+// handles (so any vertex count is possible) and is exactly symmetric. The longest edges are split until the count is reached.
 
 #include "bake/built_in.h"
 
@@ -17,7 +17,7 @@ struct Knot {
   double x, value;
 };
 
-// Monotone cubic through the knots (Fritsch and Carlson 1980): no overshoot between a bonnet and a windscreen.
+// Monotone cubic through the knots (Fritsch and Carlson 1980), which does not overshoot between bonnet and windscreen.
 double follow(const std::vector<Knot>& knots, double x) {
   const size_t last = knots.size() - 1;
   if (x <= knots[0].x) return knots[0].value;
@@ -47,17 +47,17 @@ const std::vector<Knot> sill_line = {{-2.25, 0.20}, {-2.0, 0.10}, {-1.6, 0.03}, 
                                      {1.0, 0.0},    {1.8, 0.03},  {2.1, 0.07},  {2.25, 0.14}};
 const std::vector<Knot> half_width = {{-2.25, 0.66}, {-2.18, 0.76}, {-1.9, 0.845}, {-1.3, 0.89}, {-0.3, 0.90},
                                       {0.6, 0.90},   {1.4, 0.885},  {1.9, 0.82},   {2.15, 0.72}, {2.25, 0.60}};
-// Half width of the roof, and of the flat part of bonnet and boot lid.
+// Half width of the roof, and of the flat part of the bonnet and boot lid.
 const std::vector<Knot> top_width = {{-2.25, 0.52}, {-2.1, 0.64}, {-1.6, 0.66}, {-1.05, 0.575}, {-0.2, 0.60},
                                      {0.30, 0.58},  {0.95, 0.68}, {1.6, 0.66},  {2.1, 0.58},    {2.25, 0.46}};
 
 constexpr double axles[] = {-1.36, 1.36};
-constexpr double arch_radius = 0.36, arch_center = 0.15;  // of the hole, and its height over the sill, m
+constexpr double arch_radius = 0.36, arch_center = 0.15;  // radius of the hole, and height of its centre over the sill, m
 constexpr double well_wall = 0.60;                        // |y| of the inner wall of a wheel well, m
 constexpr double nose = 2.25;
-constexpr double bulged = 0.01;  // m: the middle of nose and tail stands out
+constexpr double bulged = 0.01;  // m: how far the middle of nose and tail stands out
 
-// Height of the arch at x; below the sill where there is none.
+// Height of the arch at x; -1 where there is no arch.
 double arch_height(double x) {
   for (double axle : axles) {
     const double square = arch_radius * arch_radius - (x - axle) * (x - axle);
@@ -68,11 +68,11 @@ double arch_height(double x) {
 
 // ---- one cross-section ---------------------------------------------------------------------------------------------------
 
-// Segments along the half section, from the middle of the floor over the side to the middle of the roof.
+// Numbers of segments along the half section, from the middle of the floor over the side to the middle of the roof.
 struct Resolution {
   int floor, wall, ceiling, side, glass, roof;
   int arch;    // stations over an arch
-  double gap;  // m between the other stations
+  double gap;  // m, between the other stations
 };
 
 Resolution resolution(double scale) {
@@ -92,7 +92,7 @@ void line(std::vector<Point>& section, Point to, int segments) {
   }
 }
 
-// How far out the side stands at height z: fullest at 0.45 m, drawn in towards the sill and the shoulder.
+// Distance of the side from the middle at height z: largest at 0.45 m, smaller towards the sill and the shoulder.
 double side(double x, double z) {
   const double up = (z - 0.45) / 0.45;
   return follow(half_width, x) * (1 - (up > 0 ? 0.045 : 0.05) * up * up);
@@ -115,7 +115,7 @@ std::vector<Point> half_section(double x, const Resolution& n) {
     const double z = low + (shoulder - low) * i / n.side;
     section.push_back({side(x, z), z});
   }
-  // Glass leans in (tumblehome); the first step is the rounded shoulder. Over bonnet and boot it is their outer strip.
+  // Glass leans in (tumblehome); its first step is the rounded shoulder. On bonnet and boot these are the outer strips.
   const double crown = 0.05 * roof_width + 0.04 * std::max(0.0, roof - shoulder - 0.1);
   const double edge = std::max(shoulder + 0.25 * (roof - shoulder), roof - crown), foot = section.back().y;
   for (int i = 1; i <= n.glass; ++i) {
@@ -149,7 +149,7 @@ std::vector<double> stations(const Resolution& n) {
   return out;
 }
 
-// Both ends lean: the nose back above the bumper, the tail likewise, and the bumpers stand out.
+// Shapes both ends: nose and tail lean back above the bumpers, and the bumpers stand out.
 Vec3 shaped(double x, const Point& p) {
   const double end = std::clamp((std::abs(x) - 1.75) / (nose - 1.75), 0.0, 1.0), above = std::max(0.0, p.z - 0.40);
   const double lean = end * end * (0.40 * above * above + 0.02 * std::max(0.0, 0.30 - p.z));
@@ -170,7 +170,7 @@ struct Half {
 
 float length(const Half& half, uint32_t a, uint32_t b) { return (half.vertex[a] - half.vertex[b]).squaredNorm(); }
 
-// Corners in order; cut along the shorter diagonal.
+// Corners in order. Cuts the quad along the shorter diagonal.
 void add_quad(Half& half, uint32_t a, uint32_t b, uint32_t c, uint32_t d) {
   if (length(half, a, c) <= length(half, b, d)) {
     half.triangle.insert(half.triangle.end(), {{a, b, c}, {a, c, d}});
@@ -179,7 +179,7 @@ void add_quad(Half& half, uint32_t a, uint32_t b, uint32_t c, uint32_t d) {
   }
 }
 
-// Closes an end: smaller copies of its section inside it, the last one down to the line y = 0.
+// Closes an end with smaller copies of its section inside it; the last one shrinks to the line y = 0.
 void add_cap(Half& half, double x, const std::vector<Point>& section, uint32_t first, int rings) {
   const auto count = static_cast<uint32_t>(section.size());
   const double middle = 0.5 * (section.front().z + section.back().z);
@@ -234,7 +234,7 @@ Half build_half(double scale) {
   return half;
 }
 
-// Splits the longest edge, or the longest of those on the symmetry line, in its middle.
+// Splits the longest edge, or the longest edge on the symmetry line, in its middle.
 void split_longest(Half& half, bool on_symmetry_line) {
   uint32_t from = 0, to = 0;
   float longest = 0;

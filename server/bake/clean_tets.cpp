@@ -15,12 +15,12 @@
 namespace crumple {
 namespace {
 
-constexpr uintmax_t largest_tets_file = uintmax_t{512} << 20;  // bytes: max_tets as text have a fifth of it
-constexpr double smallest_part = 0.02;  // of the whole volume: what may stand by itself, held by no face of another part
+constexpr uintmax_t largest_tets_file = uintmax_t{512} << 20;  // bytes: max_tets as text take a fifth of it
+constexpr double smallest_part = 0.02;  // share of the whole volume: smaller parts that no face joins to the rest are dropped
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
-// Only the nodes that a tet names; returns how many were dropped.
+// Keeps only nodes that a tet names; returns how many were dropped.
 size_t drop_unused(TetMesh& mesh) {
   std::vector<uint32_t> place(mesh.node.size(), UINT32_MAX);
   for (const Tet& tet : mesh.tet)
@@ -38,7 +38,7 @@ size_t drop_unused(TetMesh& mesh) {
   return dropped;
 }
 
-// Tets that hang together by faces; parts[i] is the part of tet i, the first tet of which has that index.
+// Finds tets that are connected through faces. parts[i] is the part of tet i: the index of the part's first tet.
 std::vector<uint32_t> parts_of(const TetMesh& mesh) {
   std::vector<uint32_t> above(mesh.tet.size());
   std::iota(above.begin(), above.end(), 0u);
@@ -67,7 +67,7 @@ std::vector<uint32_t> parts_of(const TetMesh& mesh) {
   return above;
 }
 
-// A part that shares a node or an edge with the rest, but no face, is a free joint: it flaps without any resistance.
+// Drops small parts that share a node or an edge with the rest, but no face: such a joint would flap without resistance.
 void drop_small_parts(TetMesh& mesh, std::vector<std::string>& report) {
   const std::vector<uint32_t> part = parts_of(mesh);
   std::map<uint32_t, double> volume;

@@ -25,17 +25,17 @@ namespace crumple {
 namespace {
 
 constexpr double shortest_car = 0.5, longest_car = 25;  // m: a pedal car, an articulated bus
-// Of what a file says before anything of it is welded or dropped.
+// Most vertices and triangles of a file, before any are joined or dropped.
 constexpr size_t most_vertices_read = size_t{16} * max_vertices, most_triangles_read = 2 * most_vertices_read;
-constexpr size_t most_levels_read = 1000;                  // nodes within nodes: a car has ten
+constexpr size_t most_levels_read = 1000;                  // nesting of nodes: a car has ten levels
 constexpr uintmax_t largest_input = uintmax_t{512} << 20;  // bytes: a car with its textures in one GLB
 constexpr rlim_t reader_memory = rlim_t{2} << 30;          // bytes: four times the largest input
-constexpr unsigned reader_seconds = 300;                   // the largest input takes seconds
-// Bytes of what it answers: of a vertex its place and colour, of a triangle its corners, and some counts.
+constexpr unsigned reader_seconds = 300;                   // s; the largest input takes seconds
+// Most bytes of the child's answer: position and colour per vertex, corners per triangle, and some counts.
 constexpr size_t most_answer =
     most_vertices_read * (3 * sizeof(double) + sizeof(uint32_t)) + most_triangles_read * sizeof(Triangle) + 100;
 constexpr double flat_below = 0.01;  // shortest side over the longest
-constexpr size_t most_parts = 1000;  // a scan's crumbs, not a body: game cars have one to a few hundred
+constexpr size_t most_parts = 1000;  // more are a scan's crumbs, not a body: game cars have one to a few hundred
 
 [[noreturn]] void refuse(const std::string& name, const std::string& fact) { throw std::runtime_error(name + ": " + fact); }
 
@@ -47,7 +47,7 @@ Eigen::Vector3d axis(const std::string& spelling, const char* flag) {
   return (negative ? -1 : 1) * Eigen::Vector3d::Unit(letter[0] - 'x');
 }
 
-// Rows are the car's axes in the file's coordinates.
+// The rows are the car's axes in the file's coordinates.
 Eigen::Matrix3d axes(const std::string& forward, const std::string& up) {
   const Eigen::Vector3d x = axis(forward, "forward"), z = axis(up, "up");
   if (x.dot(z) != 0)
@@ -127,9 +127,9 @@ Flattened read_scene(const std::string& name) {
   return out;
 }
 
-// ---- reading it apart --------------------------------------------------------------------------------------------------
-// Assimp follows the nodes of a file by recursion, in some formats for ever, and makes a node anew each time that another names
-// it: a file of some kB can so end the stack or fill the memory. Therefore it is read in a process of its own, with bounds.
+// ---- reading it in a child process -------------------------------------------------------------------------------------
+// Assimp follows the nodes of a file by recursion, in some formats for ever, and copies a node each time that another node
+// names it. So a file of some kB can exhaust the stack or the memory. Therefore a child process with limits reads the file.
 
 template <class T>
 void pack(const std::vector<T>& list, std::string& to) {
@@ -138,7 +138,7 @@ void pack(const std::vector<T>& list, std::string& to) {
   to.append(reinterpret_cast<const char*>(list.data()), count * sizeof(T));
 }
 
-// False if there is less of it.
+// Returns false if the text is too short.
 template <class T>
 bool unpack(std::string_view& from, std::vector<T>& list) {
   uint64_t count = 0;
@@ -180,7 +180,7 @@ bool unpacked(std::string_view text, Flattened& surface) {
   alarm(reader_seconds);
   const rlimit none{0, 0};
   setrlimit(RLIMIT_CORE, &none);
-#if !defined(__SANITIZE_ADDRESS__)  // which needs terabytes of addresses
+#if !defined(__SANITIZE_ADDRESS__)  // the address sanitizer needs terabytes of addresses
   const rlimit memory{reader_memory, reader_memory};
   setrlimit(RLIMIT_DATA, &memory);
 #endif
@@ -218,7 +218,7 @@ Flattened read_file(const std::filesystem::path& file) {
   close(ends[1]);
   const std::optional<std::string> answer = child > 0 ? read_pipe(ends[0], most_answer) : "";
   close(ends[0]);
-  if (!answer) kill(child, SIGKILL);  // a broken one
+  if (!answer) kill(child, SIGKILL);  // it sent more than the largest answer
   const std::string text = answer.value_or("");
   int status = 0;
   while (child > 0 && waitpid(child, &status, 0) < 0 && errno == EINTR) {
@@ -238,7 +238,7 @@ Flattened read_file(const std::filesystem::path& file) {
 
 // ---- checking and placing ----------------------------------------------------------------------------------------------
 
-// Indices of the first of all equal positions.
+// For each position, the index of the first equal one.
 std::vector<uint32_t> weld(const std::vector<Vec3>& position) {
   std::vector<uint32_t> order(position.size()), first(position.size());
   std::iota(order.begin(), order.end(), 0u);
@@ -253,7 +253,7 @@ std::vector<uint32_t> weld(const std::vector<Vec3>& position) {
 }
 
 bool degenerate(const Vec3& a, const Vec3& b, const Vec3& c) {
-  constexpr double smallest_area = 1e-12;  // m^2: what floats of a car's size cannot tell from a line
+  constexpr double smallest_area = 1e-12;  // m^2: floats of a car's size cannot tell smaller ones from a line
   return (b - a).cast<double>().cross((c - a).cast<double>()).norm() / 2 <= smallest_area;
 }
 
@@ -278,7 +278,7 @@ size_t count_open_edges(const Surface& surface) {
   return open;
 }
 
-// Scale, turn, then drop to the ground and centre.
+// Scales, turns, then drops to the ground and centres.
 Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const ImportOptions& options,
                           const std::string& name) {
   if (!(options.scale > 0) || !std::isfinite(options.scale))

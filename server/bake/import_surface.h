@@ -1,6 +1,6 @@
-// A surface mesh file in any format that Assimp reads (OBJ, glTF, GLB, STL, PLY, ...) becomes a Surface in the car's frame:
-// X forward, Y left, Z up, metres, lowest point at z = 0, centred in x and y. The hierarchy is flattened, polygons are
-// triangulated, vertices of identical position are one. Nothing is repaired silently: the report says what was done.
+// Imports a surface mesh file in any format that Assimp reads (OBJ, glTF, GLB, STL, PLY, ...). The Surface is in the car's
+// frame: X forward, Y left, Z up, metres, lowest point at z = 0, centred in x and y. The import flattens the hierarchy,
+// triangulates polygons, and joins vertices at the same position. It repairs nothing silently: the report says what was done.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -13,26 +13,26 @@
 namespace crumple {
 
 struct ImportOptions {
-  // Which of the file's axes points forward and which up: x, y, z, -x, -y, -z. Empty: as the format says; glTF has z
-  // forward and y up, every other format is taken as x forward and z up.
+  // Which of the file's axes point forward and up: x, y, z, -x, -y, -z. Empty: as the format defines. glTF has z forward and y
+  // up; for every other format x is forward and z up.
   std::string forward;
   std::string up;
-  double scale = 1;  // metres in one unit of the file
+  double scale = 1;  // metres per unit of the file
 };
 
 struct ImportedSurface {
   Surface surface;
-  Eigen::Affine3d from_file;  // the file's coordinates to the car's frame
+  Eigen::Affine3d from_file;  // from the file's coordinates to the car's frame
   size_t parts = 0;           // connected pieces
-  size_t open_edges = 0;      // edges of one triangle only
+  size_t open_edges = 0;      // edges of only one triangle
   std::vector<std::string> report;
 };
 
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 ImportedSurface import_surface(const std::filesystem::path& file, const ImportOptions&);
 
-// The same for a surface that is already in memory: welds, checks, places; `name` stands for the file in messages.
-// triangles may be degenerate or wild; positions are checked here.
+// The same for a surface in memory: joins vertices, checks and places them; `name` stands for the file in messages. Triangles
+// may be degenerate or wild. Positions are checked here.
 ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, const std::vector<uint32_t>& colors,
                               const std::vector<Triangle>& triangles, const ImportOptions&, const std::string& name);
 

@@ -1,4 +1,4 @@
-// Tets for a surface: made by fTetWild in a child process, or read from a file that another program made.
+// Tets for a surface: fTetWild makes them in a child process, or they are read from a file of another program.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -12,19 +12,19 @@
 
 namespace crumple {
 
-// Told what is going on, in a few words, each replacing the one before; for a line that is overwritten in place.
+// Receives a few words about the progress. Each call replaces the previous words, as on a line that is overwritten.
 using Progress = std::function<void(const std::string&)>;
 
-// Runs fTetWild until the node count is within 15 % of `nodes`. Open or overlapping surfaces are welcome: what lies inside is
-// decided by winding number. Throws std::runtime_error with a sentence.
+// Runs fTetWild until the node count is within 15 % of `nodes`. Surfaces may be open or overlap, because winding numbers decide
+// what is inside. Throws std::runtime_error with a sentence.
 TetMesh tetrahedralise(const ImportedSurface&, size_t nodes, const std::string& name, const Progress&,
                        std::vector<std::string>& report);
 
-// Gmsh .msh 2.2 and 4.1, Medit .mesh, TetGen .node/.ele; from_file brings its coordinates into the car's frame.
+// Reads Gmsh .msh 2.2 and 4.1, Medit .mesh, TetGen .node/.ele. from_file transforms the coordinates to the car's frame.
 TetMesh import_tets(const std::filesystem::path& file, const Eigen::Affine3d& from_file, std::vector<std::string>& report);
 
-// Turns tets positive, drops those without volume and nodes that nothing uses, and reports both. Throws when nothing sound is
-// left or an index or position is wild; `name` stands for their source.
+// Orients tets positively, drops tets without volume and nodes without tets, and reports both. Throws if nothing sound is left
+// or an index or position is invalid; `name` names the source in messages.
 TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>& tets, const std::string& name,
                    std::vector<std::string>& report);
 

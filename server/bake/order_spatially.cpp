@@ -7,7 +7,7 @@
 namespace crumple {
 namespace {
 
-// 21 bits an axis: steps of a few micrometres on a car.
+// Spreads 21 bits, as many as each axis has: steps of a few micrometres on a car.
 uint64_t spread(uint64_t x) {
   x &= 0x1fffff;
   x = (x | x << 32) & 0x001f00000000ffff;
@@ -53,7 +53,7 @@ std::vector<uint32_t> inverse(const std::vector<uint32_t>& order) {
 void order_spatially(TetMesh& mesh) {
   const std::vector<uint32_t> order = morton_order(mesh.node), place = inverse(order);
   mesh.node = permuted(mesh.node, order);
-  // The lowest node first. An even permutation of the corners: the sense stays.
+  // Puts the lowest node first by an even permutation of the corners, which keeps the orientation.
   constexpr int even[4][4] = {{0, 1, 2, 3}, {1, 0, 3, 2}, {2, 3, 0, 1}, {3, 2, 1, 0}};
   for (Tet& tet : mesh.tet) {
     for (uint32_t& node : tet.node) node = place[node];

@@ -1,5 +1,5 @@
-// Neighbours in space become neighbours in memory: nodes and vertices along a Morton curve, tets by their lowest node.
-// Corners keep their cyclic sense, so orientation stays. The same meshes give the same order.
+// Makes neighbours in space neighbours in memory: nodes and vertices follow a Morton curve, tets their lowest node. The
+// orientation of tets stays. The same meshes give the same order.
 #pragma once
 
 #include "car/mesh.h"

@@ -16,19 +16,20 @@
 #include "io/files.h"
 #include "schema/regions_generated.h"
 
-// REGIONS_BFBS: schema/regions.fbs with what it includes, compiled by flatc.
+// REGIONS_BFBS: schema/regions.fbs and its includes, compiled by flatc.
 asm(".pushsection .rodata\n.balign 8\nregions_schema:\n.incbin \"" REGIONS_BFBS "\"\nregions_schema_end:\n.popsection");
 extern "C" const uint8_t regions_schema[], regions_schema_end[];
 
 namespace crumple {
 namespace {
 
-// Shares of the length left free at either end, and depths under the skin, m: frontal crush was the same within 0.15-0.25 and
-// 0.1-0.3; the shallower ones are for bodies with no room for the first.
+// Share of the length left free at either end. Frontal crush was the same for 0.15-0.25.
 constexpr float free_end = 0.18f;
-// How far from its nearest node a painted sphere may be, m: past the widest gap between the nodes of a car, and nowhere near
-// the thousand-fold of a wrong unit.
+// Greatest distance of a painted sphere from its nearest node, m: more than the widest gap between the nodes of a car, and far
+// below the thousandfold of a wrong unit.
 constexpr float between_nodes = 0.3f;
+// Depths of the safety cell under the skin, m, tried in this order. Frontal crush was the same for 0.1-0.3; the smaller depths
+// are for bodies with no room for the first.
 constexpr double cell_depths[] = {0.20, 0.15, 0.10, 0.05, 0.02};
 
 // ---- regions ---------------------------------------------------------------------------------------------------------
@@ -43,7 +44,7 @@ uint8_t region_index(Regions& regions, const std::string& name, const std::strin
   return static_cast<uint8_t>(regions.name.size() - 1);
 }
 
-// Each node takes the colour of the nearest vertex; white is "body".
+// Each node takes the colour of the nearest vertex. White is "body".
 void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& regions, std::vector<std::string>& report) {
   if (surface.color.empty()) return;
   std::map<uint32_t, uint8_t> region_of;
@@ -64,7 +65,7 @@ void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& region
   report.push_back("painted by " + std::to_string(region_of.size()) + " vertex colours");
 }
 
-// FlatBuffers' own parser turns the JSON into a table. Its sentence begins with file and line.
+// FlatBuffers' own parser converts the JSON to a table. Its error message begins with file and line.
 schema::PaintRegionsT parse_regions(const RegionsText& regions_text) {
   flatbuffers::Parser parser;
   if (!parser.Deserialize(regions_schema, static_cast<size_t>(regions_schema_end - regions_schema)))
@@ -113,7 +114,7 @@ Shape read_shape(const schema::PaintRegionT& region, const std::string& where) {
   return shape;
 }
 
-// The nodes in the shape. Of a sphere that lies between nodes the nearest one, so that a thin place can be painted too.
+// The nodes in the shape. For a sphere between nodes the nearest node, so that thin places can be painted too.
 std::vector<uint32_t> nodes_in(const TetMesh& mesh, const Shape& shape) {
   std::vector<uint32_t> inside;
   uint32_t nearest = 0;
@@ -153,7 +154,7 @@ void paint_by_text(const TetMesh& mesh, const RegionsText& text, Regions& region
 
 // ---- the default safety cell -------------------------------------------------------------------------------------------
 
-// How deep under the body's outside each node between the ends lies, m; -1 for nodes of the ends.
+// Depth of each node between the ends under the body's outside, m; -1 for nodes of the ends.
 std::vector<double> depths(const TetMesh& mesh) {
   const std::vector<Triangle> outside = boundary(mesh);
   std::vector<Box> boxes(outside.size());
@@ -199,7 +200,7 @@ void anchor_default_cell(const TetMesh& mesh, const std::string& name, Regions& 
                            "bake with more --nodes.");
 }
 
-// ---- what hangs together -----------------------------------------------------------------------------------------------
+// ---- connected parts ---------------------------------------------------------------------------------------------------
 
 void report_loose_parts(const TetMesh& mesh, const Regions& regions, std::vector<std::string>& report) {
   const std::vector<uint32_t> part_of = connected(mesh.node.size(), {mesh.tet.data()->node, 4 * mesh.tet.size()}, 4);

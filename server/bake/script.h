@@ -1,5 +1,5 @@
-// Runs scripts in the project's Python environment, as a child process. Arrays pass through files in a temporary folder; what
-// the child prints comes back line by line.
+// Runs scripts in the project's Python environment, as a child process. Arrays pass through files in a temporary folder. The
+// child's output comes back line by line.
 #pragma once
 
 #include <filesystem>
@@ -12,7 +12,7 @@
 
 namespace crumple {
 
-// A folder of its own under the system's temporary folder, gone with the object.
+// A new folder below the system's temporary folder, deleted with the object.
 struct TemporaryFolder {
   std::filesystem::path path;
   TemporaryFolder();
@@ -21,11 +21,11 @@ struct TemporaryFolder {
   TemporaryFolder& operator=(const TemporaryFolder&) = delete;
 };
 
-// What a child prints comes here, a line of stdout or stderr at a time. Must not throw.
+// Receives the child's output, one line of stdout or stderr at a time. Must not throw.
 using OnLine = std::function<void(const std::string&)>;
 
-// Runs a script given as text and returns its exit status (128 + signal when it was killed). The interpreter is that of the
-// build's Python environment, or CRUMPLE_PYTHON of the environment. Throws std::runtime_error when it cannot start.
+// Runs a script given as text. Returns its exit status (128 + signal if it was killed). The interpreter is CRUMPLE_PYTHON of
+// the environment or, without it, that of the build's Python environment. Throws std::runtime_error if it cannot start.
 int run_script(const std::string& text, const std::vector<std::string>& arguments, const OnLine&);
 
 template <class T>

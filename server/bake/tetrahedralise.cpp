@@ -16,20 +16,21 @@ namespace {
 
 constexpr double wanted_within = 0.15;
 constexpr int most_runs = 8;
-// Envelope, as a share of the box's diagonal: how far the tets' outside may lie from the drawn surface. fTetWild's own
-// default; and the widest that still looks like the car (a few centimetres; the skin keeps every vertex in its place).
+// Envelope as a share of the box's diagonal: how far the tets' outside may lie from the drawn surface. The finest is fTetWild's
+// default. The widest still looks like the car (it is a few centimetres; the skin keeps every vertex in its place).
 constexpr double finest_epsilon = 1e-3, widest_epsilon = 6e-3;
-// Above this share of nodes on the outside, edges cannot grow any more: the drawn detail holds the nodes.
+// If more than this share of the nodes is on the outside, edges cannot grow any more: the drawn detail needs the nodes.
 constexpr double too_many_outside = 0.62;
 
 struct Run {
   double edge_length;  // share of the box's diagonal
   double epsilon;
   size_t nodes = 0;
-  double outside = 0;  // share of the nodes
+  double outside = 0;  // share of the nodes on the outside
 };
 
-// What the log tells: passes of splitting, collapsing, swapping and smoothing until the worst tet's energy is below 10.
+// Reads progress from fTetWild's log: passes of splitting, collapsing, swapping and smoothing until the worst tet's energy is
+// below 10.
 class LogReader {
  public:
   LogReader(std::string title, const Progress& progress) : title_(std::move(title)), progress_(progress) {}
@@ -88,16 +89,17 @@ TetMesh run_once(const ImportedSurface& input, Run& run, const std::string& name
   return mesh;
 }
 
-// Edge length for a body that fills 0.45 of its box, at 1.25 cube roots of the volume a node has (measured on a sedan's hull).
+// Edge length for a body that fills 0.45 of its box: 1.25 cube roots of the volume per node (measured on a sedan's hull).
 Run first_guess(const ImportedSurface& input, size_t nodes) {
   Eigen::AlignedBox3d box;
   for (const Vec3& vertex : input.surface.vertex) box.extend(vertex.cast<double>());
   const double edge = 1.25 * std::cbrt(0.45 * box.volume() / static_cast<double>(nodes));
-  // Open sheets become thin doubled walls unless the envelope is wide enough to close over them.
+  // Open sheets would become thin double walls if the envelope were not wide enough to close over them.
   return {edge / box.diagonal().norm(), input.open_edges ? 3 * finest_epsilon : finest_epsilon};
 }
 
-// The next run from the last ones of the same envelope: nodes ~ edge^-k, k from the two runs nearest to the goal, 2.5 at first.
+// The next run, from earlier runs with the same envelope: nodes ~ edge^-k, with k from the two runs nearest to the goal, at
+// first 2.5.
 Run next_guess(const std::vector<Run>& runs, size_t nodes) {
   const auto error = [&](const Run& run) { return std::log(static_cast<double>(run.nodes) / static_cast<double>(nodes)); };
   Run next = runs.back();

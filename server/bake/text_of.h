@@ -1,4 +1,4 @@
-// A number as a report or a refusal shows it.
+// Formats a number for a report or a refusal.
 #pragma once
 
 #include <cstdio>

@@ -33,7 +33,7 @@ double squared_distance_to_tet(const TetMesh& mesh, uint32_t tet, const Eigen::V
   const Eigen::Vector4d weight = barycentric(mesh, tet, point);
   if (weight.minCoeff() >= 0) return 0;
   double squared = std::numeric_limits<double>::infinity();
-  for (int k = 0; k < 4; ++k) {  // only faces that the point is outside of can be nearest
+  for (int k = 0; k < 4; ++k) {  // only faces with the point outside can be nearest
     if (weight[k] >= 0) continue;
     Eigen::Vector3d corner[3];
     for (int j = 0; j < 3; ++j) corner[j] = mesh.node[mesh.tet[tet].node[(k + 1 + j) % 4]].cast<double>();
@@ -56,7 +56,7 @@ Attached attach(const TetMesh& mesh, const BoxTree& tree, const Vec3& vertex) {
     for (uint32_t j = 0; j < 4; ++j) out.skin.node[j] = mesh.tet[tet].node[(k + j) % 4];
     return out;
   }
-  // A vertex outside follows the tet's surface: extrapolating weights would turn a folded tet into shards.
+  // A vertex outside follows the tet's surface: extrapolated weights would tear the skin apart when the tet folds.
   Eigen::Vector4d weight = barycentric(mesh, tet, point).cwiseMax(0);
   weight /= weight.sum();
   for (int k = 0; k < 4; ++k) {

@@ -1,6 +1,6 @@
-// Ties every surface vertex to four nodes: to the node it coincides with, to the tet that contains it, or to the tet that is
-// truly nearest (not the one with the nearest centroid: wrong beside long tets). Barycentric in the tet's rest shape, outside
-// it clamped to the tet. Found through a tree of boxes; the same for any thread count.
+// Attaches every surface vertex to four nodes: to the node at its place, to the tet that contains it, or to the truly nearest
+// tet (not the tet with the nearest centroid, which is wrong beside long tets). Weights are barycentric in the tet's rest
+// shape, clamped to the tet for vertices outside. The search uses a tree of boxes. The result is the same for any thread count.
 #pragma once
 
 #include <span>
@@ -11,13 +11,13 @@
 namespace crumple {
 
 struct SkinResult {
-  std::vector<Skin> skin;        // one a vertex
-  std::vector<uint32_t> tet;     // that it hangs on
-  std::vector<double> distance;  // m, of a vertex from its tet; 0 on a node or inside
-  size_t coincident = 0;         // within 1e-6 m of a node
+  std::vector<Skin> skin;        // one per vertex
+  std::vector<uint32_t> tet;     // per vertex: its tet
+  std::vector<double> distance;  // m, from the vertex to its tet; 0 on a node or inside
+  size_t coincident = 0;         // number of vertices within 1e-6 m of a node
   size_t contained = 0;
   size_t nearest = 0;   // outside every tet
-  double farthest = 0;  // m, the greatest distance
+  double farthest = 0;  // m, the largest distance
 };
 
 // The mesh must have at least one tet, positively oriented.

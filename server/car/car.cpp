@@ -1,5 +1,5 @@
-// Reads a baked car: lets FlatBuffers verify its structure, then checks every size, index and number once. The checks are
-// branch-free loops that only collect a verdict; which element was wrong is of no use to the reader.
+// Reads a baked car: FlatBuffers verifies its structure, then this checks every size, index and number once. The checks are
+// branch-free loops that return only a verdict, because the user cannot use the number of the wrong element.
 
 #include "car/car.h"
 
@@ -34,7 +34,7 @@ std::span<const Ours> view(const flatbuffers::Vector<Theirs>* list) {
   return {reinterpret_cast<const Ours*>(list->Data()), list->size()};
 }
 
-// Finite and above zero: as bits, 1 .. 0x7f7fffff.
+// All numbers are finite and above zero. As bits: 1 .. 0x7f7fffff.
 bool positive(std::span<const float> list) {
   uint32_t bad = 0;
   for (float value : list) bad |= std::bit_cast<uint32_t>(value) - 1u >= 0x7f7fffffu;
@@ -65,7 +65,7 @@ bool edges_are_sound(const Model& model) {
   return !bad;
 }
 
-// Every node lists exactly the corners it is: bounds are checked before anything is looked up through them.
+// Every node lists exactly its own corners. Bounds are checked first, before anything is looked up.
 bool corners_are_sound(const Model& model) {
   const size_t n = model.node.size(), count = 4 * model.tet.size();
   if (model.node_first.front() != 0 || model.node_first.back() != count) return false;
@@ -91,7 +91,7 @@ bool skin_is_sound(const Model& model) {
     float sum = 0;
     for (int k = 0; k < 4; ++k) {
       bad |= skin.node[k] >= n;
-      bad |= !(skin.weight[k] >= 0);  // also for NaN
+      bad |= !(skin.weight[k] >= 0);  // catches NaN too
       sum += skin.weight[k];
     }
     bad |= !(std::abs(sum - 1) <= 1e-5f);
@@ -120,12 +120,12 @@ void check_sizes(const Model& m, size_t regions, const std::string& name) {
 
 bool within(std::span<const Vec3> list, float extent) {
   uint32_t bad = 0;
-  for (const Vec3& point : list) bad |= !(point.cwiseAbs().array() <= extent).all();  // also for NaN
+  for (const Vec3& point : list) bad |= !(point.cwiseAbs().array() <= extent).all();  // catches NaN too
   return !bad;
 }
 
-// What is derived from the nodes must be what they give: rounded to a float it is off by 5e-7 of it at most. A gradient and an
-// edge that nearly cancel, those of a sliver, are off by as much of the product of their lengths.
+// Numbers derived from the nodes must agree with them. Rounding to a float changes them by 5e-7 at most. If a gradient and an
+// edge nearly cancel, as in a sliver, the error is that share of the product of their lengths.
 constexpr double agreement = 1e-5;
 
 bool rest_shapes_agree(const Model& model) {
@@ -257,7 +257,7 @@ std::shared_ptr<const Car> read_car(std::string bytes, const std::string& name) 
 }
 
 std::shared_ptr<const Car> read_car(std::span<const std::byte> bytes, const std::string& name) {
-  // Vectors of the file are aligned to its start; `new` aligns to 16.
+  // Lists in the file are aligned to its start; `new` aligns the copy to 16.
   auto copy = std::make_shared<std::vector<std::byte>>(bytes.begin(), bytes.end());
   return read(*copy, name, copy);
 }

@@ -8,15 +8,15 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t blocks_a_part = 256;  // of the work that is done side by side
+constexpr uint32_t blocks_a_part = 256;  // blocks in one part of the parallel work
 
 constexpr int most_colours = 255;
 
-// Nodes of one colour that are sorted by their number of tets, so that blocks have few empty lanes, and no more of them, so
-// that the nodes of a block stay near to each other. Lanes in use at 5,000 nodes: 60 % unsorted, 87 % with 128, 93 % with all.
+// Number of nodes of one colour that are sorted by their number of tets, so that blocks have few empty lanes. Sorting more
+// would put distant nodes into one block. Lanes in use at 5,000 nodes: 60 % unsorted, 87 % with 128, 93 % with all.
 constexpr size_t sorted_together = 128;
 
-// Greedy, in the model's spatial order: the first colour that no neighbour has. Empty if there are too few.
+// Greedy, in the model's spatial order: the first colour that no neighbour has. Empty if the colours do not suffice.
 std::vector<uint8_t> colour_of(const Model& model) {
   std::vector<uint8_t> colour(model.node.size());
   for (uint32_t i = 0; i < model.node.size(); ++i) {
@@ -35,10 +35,10 @@ std::vector<uint8_t> colour_of(const Model& model) {
   return colour;
 }
 
-// The corners of a tet seen from each: even permutations, so that the sense stays.
+// The other corners of a tet, seen from each corner: even permutations, which keep the orientation.
 constexpr int others[4][3] = {{1, 2, 3}, {0, 3, 2}, {3, 0, 1}, {2, 1, 0}};
 
-// All that is known of a block before its rows: which nodes, and where each of them is found.
+// Adds a block before its rows exist: its nodes, and the place of each node.
 void place_block(const Model& model, const uint32_t* node, size_t count, Blocks& out) {
   const uint32_t block = uint32_t(out.anchored.size());
   out.anchored.push_back(model.node_anchored[node[0]]);
@@ -53,13 +53,13 @@ void place_block(const Model& model, const uint32_t* node, size_t count, Blocks&
   out.row.push_back(out.row.back() + rows);
 }
 
-// Of some blocks who is around them, and as a mark what was met already for the one at hand.
+// The neighbours of some blocks (near and over, as in Blocks), and marks for what the current block has met already.
 struct Around {
   std::vector<uint32_t> near, over, near_end, over_end;
   std::vector<uint32_t> met_blocks, met_groups;
 };
 
-// The rows of a block, and who is around it.
+// Fills in the rows of a block and finds its neighbours.
 void fill_block(const Model& model, uint32_t block, Around& around, Blocks& out) {
   around.met_blocks[block] = block;
   for (uint32_t lane = 0; lane < lanes; ++lane) {
@@ -107,7 +107,7 @@ Blocks make_blocks(const Model& model) {
   out.place.resize(model.node.size());
   const std::vector<uint8_t> colour = colour_of(model);
   if (colour.empty()) return {};
-  std::vector<std::vector<uint32_t>> nodes(512);  // by colour, free ones before anchored ones
+  std::vector<std::vector<uint32_t>> nodes(512);  // by colour; of each colour free nodes come before anchored ones
   for (uint32_t i = 0; i < colour.size(); ++i) nodes[2 * colour[i] + model.node_anchored[i]].push_back(i);
   for (size_t list = 0; list < nodes.size(); ++list) {
     std::vector<uint32_t>& all = nodes[list];

@@ -1,5 +1,5 @@
-// Levels of a car: baked cars with the same surface (vertices, triangles, regions) and other tets. In: two of them. Out: where
-// each finds itself in the other, for transfer() (sim/transfer.h). The same for any thread count.
+// Levels of a car: baked cars with the same surface (vertices, triangles, regions) and different tets. Finds where one mesh
+// lies in another, for transfer() (sim/transfer.h). The result is the same for any thread count.
 #pragma once
 
 #include "car/car.h"
@@ -9,7 +9,7 @@ namespace crumple {
 
 bool same_surface(const Car&, const Car&);
 
-// Where `to` finds itself in `from`.
+// Where the nodes and tets of `to` lie in `from`.
 LevelMap map_level(const Model& from, const Model& to);
 
 }  // namespace crumple

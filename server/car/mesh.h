@@ -1,5 +1,5 @@
-// The two meshes that a car is baked from. What goes between the steps of a bake: plain arrays, in the car's frame
-// (X forward, Y left, Z up, metres), in single precision from the start, so that every check sees what the file will hold.
+// The two meshes from which a car is baked, as the steps of a bake exchange them: plain arrays in the car's frame (X forward,
+// Y left, Z up, metres), in single precision from the start, so that every check sees the numbers of the file.
 #pragma once
 
 #include <array>
@@ -17,7 +17,7 @@ using Triangle = std::array<uint32_t, 3>;
 struct Surface {
   std::vector<Vec3> vertex;
   std::vector<Triangle> triangle;
-  std::vector<uint32_t> color;  // 0xrrggbb a vertex; empty: not painted
+  std::vector<uint32_t> color;  // 0xrrggbb per vertex; empty: not painted
 };
 
 // Positively oriented: (b-a) x (c-a) . (d-a) > 0.
@@ -26,10 +26,10 @@ struct TetMesh {
   std::vector<Tet> tet;
 };
 
-// The faces that only one tet has, turned outward.
+// The faces of only one tet, turned outward.
 std::vector<Triangle> boundary(const TetMesh&);
 
-// For each of `count` points the lowest index it hangs together with; connections: groups of `size` points each.
+// For each of `count` points the lowest index connected with it. connections: groups of `size` connected points each.
 std::vector<uint32_t> connected(size_t count, std::span<const uint32_t> connections, size_t size);
 
 }  // namespace crumple

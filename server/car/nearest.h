@@ -1,5 +1,6 @@
-// The nearest of many boxes' contents to a point, through Eigen's bounding volume tree: shared by skinning (tets), the safety
-// cell (triangles of the body's outside) and vertex colours (points). Read-only after building, so any thread may ask.
+// Finds the box whose content is nearest to a point, through Eigen's bounding volume hierarchy. Users: the skin (tets), the
+// safety cell (triangles of the body's outside) and vertex colours (points). Trees are read-only after building, so all threads
+// may search.
 #pragma once
 
 #include <Eigen/Geometry>
@@ -23,7 +24,7 @@ struct Nearest {
   double squared_distance = std::numeric_limits<double>::infinity();
 };
 
-// What Eigen's tree search asks for.
+// The interface that Eigen's tree search needs.
 template <class SquaredDistance>
 struct NearestSearch {
   using Scalar = double;
@@ -38,7 +39,7 @@ struct NearestSearch {
   }
 };
 
-// squared_distance(i): from `point` to what box i holds.
+// squared_distance(i): from `point` to the content of box i.
 template <class SquaredDistance>
 Nearest find_nearest(const BoxTree& tree, const Eigen::Vector3d& point, const SquaredDistance& squared_distance) {
   NearestSearch<SquaredDistance> search{point, squared_distance, {}};
@@ -46,7 +47,7 @@ Nearest find_nearest(const BoxTree& tree, const Eigen::Vector3d& point, const Sq
   return search.best;
 }
 
-// From Ericson, Real-Time Collision Detection, 5.1.5, by the regions of the triangle's corners, edges and face.
+// Ericson, Real-Time Collision Detection, 5.1.5: tests the regions of the triangle's corners, edges and face.
 double squared_distance_to_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
                                     const Eigen::Vector3d& c);
 

@@ -1,4 +1,4 @@
-// `crumple bake`: a surface (or tets) in, a baked car out, and what was done to it on the way.
+// `crumple bake`: reads a surface (or tets), writes a baked car, and reports what it did.
 #pragma once
 
 #include <string>
@@ -10,9 +10,9 @@ namespace crumple {
 
 struct BakeCommandOptions {
   BakeOptions bake;
-  std::vector<size_t> nodes;      // none: BakeOptions' own; more than one: levels of the car
+  std::vector<size_t> nodes;      // none: the default of BakeOptions; more than one: levels of the car
   std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: none
-  std::string output;             // the baked car; of several NAME-NODES.car
+  std::string output;             // the baked car; with several levels NAME-NODES.car
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence: file, fact, remedy.

@@ -28,7 +28,7 @@ namespace {
 std::atomic<bool> stop{false};
 static_assert(std::atomic<bool>::is_always_lock_free, "set in a signal handler");
 
-// A second Ctrl-C ends the program at once, should the first one wait for a disk or a network that is stuck.
+// A second Ctrl-C ends the program at once, in case the first one waits for a disk or a network that is stuck.
 void on_signal(int signal) {
   stop = true;
   std::signal(signal, SIG_DFL);
@@ -45,7 +45,7 @@ const CLI::Validator scene(
     },
     "ID");
 
-// A pipe may never end, and to open one waits until somebody writes.
+// Refuses pipes, because they may never end, and opening one waits until somebody writes.
 const CLI::Validator is_file(
     [](std::string& path) -> std::string {
       std::error_code none;
@@ -55,7 +55,7 @@ const CLI::Validator is_file(
     },
     "FILE");
 
-// Of options.
+// Reads the text file that an option names.
 std::string read_text(const std::string& path) {
   try {
     return read_file(path, text_limit, "check the path, and that this user may read it");
@@ -64,7 +64,7 @@ std::string read_text(const std::string& path) {
   }
 }
 
-// Of every verb with a network. text: what the file holds.
+// Adds --network, for every verb with a network. text: receives the file's content.
 void add_network(CLI::App& verb, std::string& text, const char* example) {
   const auto read = [&text](const std::string& path) {
     if (path.empty()) return;
@@ -75,11 +75,11 @@ void add_network(CLI::App& verb, std::string& text, const char* example) {
           "--network", read,
           std::string("zenoh's own configuration, laid over ours: TLS, users, who may do what; see ") + example)
       ->type_name("FILE.json5")
-      ->run_callback_for_default();  // which is empty: only so that --print-config shows it
+      ->run_callback_for_default();  // the default is empty: this is only so that --print-config shows the option
 }
 
-// Options from a file, in the form that --print-config has; what the command line says stands. To be added last: options are
-// looked at in the order in which they were added, so what is wrong by then is the file's fault.
+// Adds --config: options from a file in the form of --print-config. The command line overrides them. Add it last: options are
+// read in the order in which they were added, so an error at this point is the file's.
 void add_config(CLI::App& verb) {
   const auto read = [&verb](const std::string& path) {
     std::istringstream text(read_text(path));
@@ -100,7 +100,7 @@ void add_config(CLI::App& verb) {
 
 using Verb = std::function<int()>;
 
-// Each of these adds one verb and gives back what it does.
+// Each of these functions adds one verb and returns its action.
 Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("bake", "Turns a surface mesh into a baked car: tetrahedra, constraints, skin, one file");
@@ -206,7 +206,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   };
 }
 
-// Verbs of the client program beside this one: it is built on the client library alone.
+// Adds a verb of the client program beside this one, which uses only the client library.
 Verb add_client(CLI::App& app, const char* name, const char* description) {
   CLI::App& verb = *app.add_subcommand(name, description);
   verb.set_help_flag();
@@ -360,7 +360,7 @@ int run(int argc, const char* const* argv) {
   }
   std::signal(SIGINT, on_signal);
   std::signal(SIGTERM, on_signal);
-  std::signal(SIGXFSZ, SIG_IGN);  // a file at the limit of this process cannot be written: a sentence, not the end
+  std::signal(SIGXFSZ, SIG_IGN);  // exceeding a limit on file size must fail with a sentence, not end the program
   const auto all = app.get_subcommands({});
   for (size_t i = 0; i < verbs.size(); ++i)
     if (all[i]->parsed()) return verbs[i]();

@@ -1,9 +1,10 @@
-// The program's verbs: one per thing to do, each with its options.
+// The program's verbs and their options.
 #pragma once
 
 namespace crumple {
 
-// Options in, exit code out: 0 done, 1 differs, 2 wrong usage (said on stderr). Throws std::exception with one sentence.
+// Runs the command line. Returns the exit code: 0 done, 1 differs, 2 wrong usage (reported on stderr). Throws std::exception
+// with one sentence.
 int run(int argc, const char* const* argv);
 
 }  // namespace crumple

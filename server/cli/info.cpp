@@ -37,7 +37,7 @@ struct ChannelCount {
   uint64_t messages = 0, bytes = 0;
 };
 
-// One car's crashes: ticks with contact, with less than a second between them.
+// A crash of one car: ticks with contact, less than a second apart.
 struct Crash {
   double first = 0, last = 0;  // s
   double impulse = 0;          // N s

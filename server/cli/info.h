@@ -1,4 +1,4 @@
-// `crumple info FILE...`: what is in a recording or a baked car, told from the file alone.
+// `crumple info FILE...`: reports what a recording or a baked car contains, from the file alone.
 #pragma once
 
 #include <string>
@@ -6,7 +6,7 @@
 
 namespace crumple {
 
-// Returns the exit code. Throws std::runtime_error with one sentence for a file that is neither.
+// Returns the exit code. Throws std::runtime_error with one sentence if a file is neither.
 int info(const std::vector<std::string>& files);
 
 }  // namespace crumple

@@ -1,4 +1,4 @@
-// Errors are caught here and nowhere else.
+// Only main() catches errors.
 #include <cstdio>
 #include <exception>
 

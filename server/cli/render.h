@@ -1,4 +1,5 @@
-// `crumple render FILE`: pictures of a recording, by the Python package (crumple.render), which explains its own options.
+// `crumple render FILE`: draws pictures of a recording with the Python package (crumple.render), which explains its own
+// options.
 #pragma once
 
 #include <string>

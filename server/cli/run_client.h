@@ -1,4 +1,4 @@
-// `crumple drive` and `crumple watch`: clients, and so another program, crumple-client beside this one.
+// `crumple drive` and `crumple watch` are clients: another program runs them, crumple-client beside this one.
 #pragma once
 
 #include <string>
@@ -6,7 +6,7 @@
 
 namespace crumple {
 
-// Becomes that program. Throws std::runtime_error with one sentence if it is not there.
+// Replaces this process by that program. Throws std::runtime_error with one sentence if the program is not there.
 int run_client(const std::string& verb, const std::vector<std::string>& arguments);
 
 }  // namespace crumple

@@ -8,14 +8,14 @@
 namespace crumple {
 namespace {
 
-// Those that no car is of any more.
+// Most assets that no living car uses.
 constexpr size_t spare_limit = 8;
-// Bytes of all together; with control twice as many (one of 10,000 nodes has 4 MB).
+// Most bytes of all assets (one of 10,000 nodes has 4 MB). With control the gateway holds them twice.
 constexpr size_t assets_limit = size_t{1} << 30;
 
 }  // namespace
 
-ShownAssets::ShownAssets(Web* web, client::Ask ask, std::function<Hashes()> of_cars, bool keeps)
+ShownAssets::ShownAssets(Web* web, viewer::Ask ask, std::function<Hashes()> of_cars, bool keeps)
     : web_(web), of_cars_(std::move(of_cars)), keeps_(keeps), fetching_{std::move(ask)} {}
 
 void ShownAssets::forget_spare() {
@@ -53,7 +53,7 @@ void ShownAssets::show(const std::string& hash, Shown& asset, std::span<const ui
   need(web_page(web_, ("/asset/" + hash).c_str(), "application/octet-stream", bytes.data(), bytes.size()));
 }
 
-void ShownAssets::want(const std::string& hash, client::Time now) {
+void ShownAssets::want(const std::string& hash, viewer::Time now) {
   if (!find_or_add(hash).done) fetching_.want(hash, now);
 }
 
@@ -69,7 +69,7 @@ ShownAssets::Bytes ShownAssets::bytes(const std::string& hash) const {
   return asset == assets_.end() ? nullptr : asset->second.bytes;
 }
 
-bool ShownAssets::take_reply(const NetEvent& event, client::Time now) {
+bool ShownAssets::take_reply(const NetEvent& event, viewer::Time now) {
   const auto news = event.kind == NET_REPLY_END
                         ? fetching_.end(event.ticket)
                         : fetching_.take_reply(event.ticket, {event.data, event.size}, event.failed != 0, now);

@@ -1,5 +1,5 @@
-// The baked cars that browsers get under /asset/{hash}. It keeps those of the cars that live, and for pages that are behind the
-// newest few of those before them.
+// The baked cars that browsers get under /asset/{hash}: those of the living cars, and the newest few of earlier ones for pages
+// that lag behind.
 #pragma once
 
 #include <cstdint>
@@ -23,20 +23,20 @@ class ShownAssets {
  public:
   using Bytes = std::shared_ptr<const std::vector<uint8_t>>;
   using Hashes = std::set<std::string_view>;
-  // of_cars: those of the cars that live. keeps: for the sake of painting, the bytes stay here too.
-  ShownAssets(Web*, client::Ask, std::function<Hashes()> of_cars, bool keeps);
-  // Fetches it, unless it is there.
-  void want(const std::string& hash, client::Time now);
-  // A car that the gateway painted: browsers ask for it as soon as a car is made of it.
+  // of_cars: the hashes of the living cars' assets. keeps: keep the bytes here too, for painting.
+  ShownAssets(Web*, viewer::Ask, std::function<Hashes()> of_cars, bool keeps);
+  // Fetches the asset unless it is there.
+  void want(const std::string& hash, viewer::Time now);
+  // Adds an asset that the gateway painted: browsers ask for it as soon as a car uses it.
   void add_painted(const Car&);
-  // The bytes of one that is there; null: none, or not kept.
+  // The bytes of an asset; null: not there, or not kept.
   Bytes bytes(const std::string& hash) const;
-  // Whether the event belonged to a question of this one.
-  bool take_reply(const NetEvent&, client::Time now);
+  // Whether the event belonged to a question of this object.
+  bool take_reply(const NetEvent&, viewer::Time now);
 
  private:
   struct Shown {
-    uint64_t number = 0;  // in the order in which browsers or cars wanted them
+    uint64_t number = 0;  // order in which browsers or cars wanted the assets
     size_t size = 0;
     Bytes bytes = nullptr;
     bool done = false;  // browsers have it, or there is no room for it
@@ -49,9 +49,9 @@ class ShownAssets {
   Web* web_;
   std::function<Hashes()> of_cars_;
   bool keeps_;
-  client::Fetching fetching_;
+  viewer::Fetching fetching_;
   std::map<std::string, Shown, std::less<>> assets_;  // by hash
-  uint64_t wanted_ = 0;                               // so far
+  uint64_t wanted_ = 0;                               // number of assets wanted so far
 };
 
 }  // namespace crumple

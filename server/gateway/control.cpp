@@ -82,7 +82,7 @@ void Control::take(const WebRequest& request) {
   painting_.emplace(request.ticket, std::async(std::launch::async, paint, car, hash, std::move(regions)));
 }
 
-// One painting at a time, and what comes after it waits at the door, where whoever goes is forgotten.
+// Paints one car at a time. Later requests wait in io, which forgets those whose browser disconnects.
 void Control::work() {
   for (WebRequest request; !painting_ && web_next(web_, &request) == 1;) take(request);
   if (!painting_ || painting_->second.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return;

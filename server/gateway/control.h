@@ -1,7 +1,7 @@
-// What browsers ask of the gateway where they may command: commands on cars, passed on as they are, and cars painted anew.
-//   POST /command/car/{car}   Command                          the server's Answer
-//   POST /paint/{hash}        schema/regions.fbs as JSON       the baked car, which the scene's server was given
-// Whatever is refused comes with a status of 4xx or 5xx and a sentence.
+// Requests of browsers that may command. The gateway passes commands to the scene's server unchanged, and paints cars itself.
+//   POST /command/car/{car}   Command                          answer: the server's Answer
+//   POST /paint/{hash}        schema/regions.fbs as JSON       answer: the baked car, which the server has received too
+// A refusal has a status of 4xx or 5xx and a sentence.
 #pragma once
 
 #include <functional>
@@ -20,26 +20,26 @@
 
 namespace crumple {
 
-// The parameters of a car with ranges, units and defaults, as JSON; control: whether the page may set them.
+// The parameters of a car with ranges, units and defaults, as JSON. control: whether the page may set them.
 std::string parameters_json(bool control);
 
 class Control {
  public:
   using Bytes = std::shared_ptr<const std::vector<uint8_t>>;
-  // shown: the baked car of this hash; null: none. painted: takes one that the scene's server has been given.
+  // shown: returns the bytes of an asset; null: none. painted: receives an asset that the scene's server has accepted.
   using Shown = std::function<Bytes(const std::string& hash)>;
   using Painted = std::function<void(const crumple::Car&)>;
   Control(Net*, Web*, std::string root, Shown, Painted);
-  // Takes what browsers have asked, and answers what is done.
+  // Takes requests from browsers, and answers those that are done.
   void work();
-  // Whether the event belonged to a question of this one.
+  // Whether the event belonged to a question of this object.
   bool take_reply(const NetEvent&);
 
  private:
   using Car = std::shared_ptr<const crumple::Car>;
   struct Passed {
     uint64_t ticket;
-    Car car;  // what is given; null: a command
+    Car car;  // the uploaded car; null: a command
   };
   void take(const WebRequest&);
   void command(const WebRequest&, const std::string& car);
@@ -52,8 +52,8 @@ class Control {
   std::string root_;
   Shown shown_;
   Painted painted_;
-  std::optional<std::pair<uint64_t, std::future<Car>>> painting_;  // its ticket; one at a time
-  std::map<uint64_t, Passed> passed_;                              // by the ticket of net_get
+  std::optional<std::pair<uint64_t, std::future<Car>>> painting_;  // ticket of the request, and its result; one at a time
+  std::map<uint64_t, Passed> passed_;                              // by ticket of net_get
 };
 
 }  // namespace crumple

@@ -12,10 +12,10 @@
 namespace crumple {
 namespace {
 
-constexpr std::chrono::milliseconds hit_ends{1000};  // without a contact
-// Anyone who may publish here can invent hosts and parts, and each is kept.
-constexpr size_t host_limit = 512;  // keys of them that are passed on: a scene's 64 hosts have 128
-constexpr size_t parts_limit = 64;  // of a car's surface: one of 640,000 nodes has as many
+constexpr std::chrono::milliseconds hit_ends{1000};  // after this long without a contact
+// Anyone who may publish here can invent hosts and parts, and the hub keeps each.
+constexpr size_t host_limit = 512;  // keys of hosts' messages that are passed on: a scene's 64 hosts have 128
+constexpr size_t parts_limit = 64;  // parts of a car's surface: one of 640,000 nodes has this many
 
 }  // namespace
 
@@ -38,9 +38,9 @@ Hub::Hub(Net* net, Web* web, std::string root, bool keeps_assets)
 
 void Hub::begin() {
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
-    need(net_subscribe(net_, (root_ + key).c_str(), client::samples_waiting, client::sample_limit));
+    need(net_subscribe(net_, (root_ + key).c_str(), viewer::samples_waiting, viewer::sample_limit));
   for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
-    need(net_subscribe(net_, (root_ + key).c_str(), 0, client::sample_limit));
+    need(net_subscribe(net_, (root_ + key).c_str(), 0, viewer::sample_limit));
   for (const char* key : {"server", "owner/*", "car/*"}) need(net_watch(net_, (root_ + key).c_str()));
 }
 
@@ -60,7 +60,7 @@ void Hub::tell_alive() {
   set("alive", {reinterpret_cast<const uint8_t*>(lines.data()), lines.size()});
 }
 
-void Hub::take_token(const Key& key, bool alive, client::Time now) {
+void Hub::take_token(const Key& key, bool alive, viewer::Time now) {
   if (key.channel == Channel::server) {
     server_ = alive;
     hosts_.clear();
@@ -80,21 +80,21 @@ void Hub::take_token(const Key& key, bool alive, client::Time now) {
   tell_alive();
 }
 
-void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_surface(const viewer::SurfaceNews& news, bool keyframe, std::span<const uint8_t> bytes, viewer::Time now) {
   if (!news.counts) return;
-  const client::Surface& surface = news.car->surface;
+  const viewer::Surface& surface = news.car->surface;
   const std::string& id = *news.id;
   ShownCar& car = cars_.at(id);
   Bytes whole;
-  if (keyframe && news.outcome.applied == client::Applied::whole && surface.key_tick < car.key_tick) {
-    // Another owner is behind the one before: browsers drop older ticks, but not those of another car.
+  if (keyframe && news.outcome.applied == viewer::Applied::whole && surface.key_tick < car.key_tick) {
+    // Another owner lags behind the previous one. Browsers drop older ticks of a car, so it gets a new life.
     need(web_forget(web_, ("car/" + id + "/").c_str()));
     car = {++lives_};
     tell_alive();
     whole = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key, surface_node_limit).front();
     bytes = {reinterpret_cast<const uint8_t*>(whole.data()), whole.size()};
   }
-  // Following has verified it.
+  // Following has verified the bytes.
   const uint32_t first = keyframe ? flatbuffers::GetRoot<schema::Keyframe>(bytes.data())->first()
                                   : flatbuffers::GetRoot<schema::Delta>(bytes.data())->first();
   if (car.parts.size() < parts_limit) car.parts.insert(first);
@@ -106,9 +106,10 @@ void Hub::take_surface(const client::SurfaceNews& news, bool keyframe, std::span
   assets_.want(car.asset, now);
 }
 
-// Each car gets a message of its own: a message with many cars would be replaced by the next one, which has others. The
-// strongest of a hit stays beside the last one: it says what the hit was, and is over before a slow browser looks.
-void Hub::take_reactions(std::span<const uint8_t> bytes, client::Time now) {
+// Each car gets a message of its own, because the next message, with other cars, would replace one with many cars. The
+// strongest reaction of a hit is kept beside the last one: it shows what the hit was, and may be over before a slow browser
+// looks.
+void Hub::take_reactions(std::span<const uint8_t> bytes, viewer::Time now) {
   const auto* message = verified<schema::Reactions>(bytes);
   if (!message) return;
   for (const auto* from : *message->cars()) {
@@ -132,16 +133,16 @@ void Hub::take_reactions(std::span<const uint8_t> bytes, client::Time now) {
   }
 }
 
-void Hub::take_health(std::span<const uint8_t> bytes, client::Time now) {
+void Hub::take_health(std::span<const uint8_t> bytes, viewer::Time now) {
   const auto* message = verified<schema::Health>(bytes);
   if (!message) return;
   set("health", bytes);
   following_.take_health(*message, now);
 }
 
-// Takes poses or obstacles, and checks them, because browsers read them without a check of their own.
+// Takes poses or obstacles. Checks them, because browsers read them without checking.
 void Hub::take_told(Channel channel, std::string_view below, std::span<const uint8_t> bytes) {
-  if (bytes.size() > client::sample_limit || (hosts_.size() >= host_limit && !hosts_.contains(below))) return;
+  if (bytes.size() > viewer::sample_limit || (hosts_.size() >= host_limit && !hosts_.contains(below))) return;
   const bool good =
       channel == Channel::poses ? verified<schema::Poses>(bytes) != nullptr : verified<schema::Obstacles>(bytes) != nullptr;
   if (!good) return;
@@ -149,16 +150,16 @@ void Hub::take_told(Channel channel, std::string_view below, std::span<const uin
   set(std::string(below), bytes);
 }
 
-// below: the key below the scene's root, which `key` was parsed of.
-void Hub::take_sample(const Key& key, std::string_view below, std::span<const uint8_t> bytes, client::Time now) {
+// below: the key below the scene's root, from which `key` was parsed.
+void Hub::take_sample(const Key& key, std::string_view below, std::span<const uint8_t> bytes, viewer::Time now) {
   if (key.channel == Channel::health) return take_health(bytes, now);
   if (key.channel == Channel::reactions) return take_reactions(bytes, now);
   if (key.channel == Channel::poses || key.channel == Channel::obstacles) return take_told(key.channel, below, bytes);
-  if (!cars_.contains(key.id)) return;  // its token brings it, and the question for its keyframe
+  if (!cars_.contains(key.id)) return;  // wait for its token, after which its keyframe is asked for
   take_surface(following_.take_sample(key, bytes, now), key.channel == Channel::keyframe, bytes, now);
 }
 
-// Where hosts had cars and obstacles before this gateway began; what they have told since then stands.
+// Takes the hosts' messages from before this gateway started. Messages received since then stay.
 void Hub::take_latest(std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Inputs>(bytes);
   if (!message) return;
@@ -171,7 +172,7 @@ void Hub::take_latest(std::span<const uint8_t> bytes) {
   }
 }
 
-void Hub::take_reply(const NetEvent& event, client::Time now) {
+void Hub::take_reply(const NetEvent& event, viewer::Time now) {
   const std::span<const uint8_t> bytes(event.data, event.size);
   const bool end = event.kind == NET_REPLY_END;
   if (event.ticket == asking_) {
@@ -183,7 +184,7 @@ void Hub::take_reply(const NetEvent& event, client::Time now) {
   }
 }
 
-void Hub::take(const NetEvent& event, client::Time now) {
+void Hub::take(const NetEvent& event, viewer::Time now) {
   if (event.kind == NET_REPLY || event.kind == NET_REPLY_END) return take_reply(event, now);
   const std::string_view whole = event.key;
   const auto key = parse_key(whole, root_);
@@ -194,13 +195,13 @@ void Hub::take(const NetEvent& event, client::Time now) {
     take_token(*key, event.kind == NET_ALIVE, now);
 }
 
-void Hub::ask(client::Time now) {
-  if (late_ && !asking_ && now - asked_ >= client::ask_again) {
+void Hub::ask(viewer::Time now) {
+  if (late_ && !asking_ && now - asked_ >= viewer::ask_again) {
     asked_ = now;
-    asking_ = get(root_ + "inputs", {}, client::keyframe_patience);
+    asking_ = get(root_ + "inputs", {}, viewer::keyframe_patience);
   }
   following_.ask_due(now);
-  if (now - looked_ < client::ask_again) return;
+  if (now - looked_ < viewer::ask_again) return;
   looked_ = now;
   for (const auto& [id, car] : cars_)
     if (!car.asset.empty()) assets_.want(car.asset, now);

@@ -1,4 +1,4 @@
-// For functions of io that must not fail.
+// Checks the result of functions of io that must not fail.
 #pragma once
 
 #include <stdexcept>
@@ -7,7 +7,7 @@
 
 namespace crumple {
 
-// Throws std::runtime_error with the sentence of the error, if the status is one.
+// Throws std::runtime_error with the error's sentence if the status is an error.
 inline void need(int status) {
   if (status < 0) throw std::runtime_error(transport_error());
 }

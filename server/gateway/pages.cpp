@@ -14,9 +14,9 @@
 namespace crumple {
 namespace {
 
-constexpr size_t recording_limit = size_t{1} << 30;  // bytes: a page holds it whole
+constexpr size_t recording_limit = size_t{1} << 30;  // bytes: the page holds all of it
 
-// As a part of a URL.
+// Escapes text for a URL.
 std::string encoded(const std::string& text) {
   std::string out;
   for (const char c : text) {
@@ -41,7 +41,7 @@ bool is_public(std::string_view address) {
 void hand_out(Web* web, const std::vector<std::string>& files, const std::atomic<bool>& stop) {
   std::string query;
   for (size_t i = 0; i < files.size(); ++i) {
-    RecordingReader{files[i]};  // throws if it is none
+    RecordingReader{files[i]};  // throws if it is no recording
     const std::string bytes = read_file(files[i], recording_limit, "a page shows shorter ones"),
                       path = "/recording/" + std::to_string(i);
     need(web_page(web, path.c_str(), "application/octet-stream", reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()));

@@ -1,4 +1,4 @@
-// Pages that the gateway serves by themselves: the one that browsers open, and two recordings that it compares.
+// Pages that need no hub: the page that browsers open, and two recordings that it compares.
 #pragma once
 
 #include <atomic>
@@ -10,14 +10,14 @@
 
 namespace crumple {
 
-// The page in this file; empty: web/index.html beside the program.
+// Reads the page from this file; empty: web/index.html beside the program.
 std::string read_page(std::string file);
-// Whether other machines reach this address.
+// Whether other machines can reach this address.
 bool is_public(std::string_view address);
-// Gives the page two recordings, which it reads and compares by itself, until `stop`: no server, no zenoh.
+// Serves two recordings, which the page reads and compares by itself, until `stop`. Uses no server and no zenoh.
 void hand_out(Web*, const std::vector<std::string>& files, const std::atomic<bool>& stop);
 
-// Says once on stderr that browsers are refused: who runs the gateway sees that it is crowded, or attacked.
+// Reports once on stderr that browsers are refused, so that the operator sees that the gateway is crowded or attacked.
 class RefusalNotice {
  public:
   void tell(const Web*);

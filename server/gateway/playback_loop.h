@@ -1,4 +1,4 @@
-// Plays a recording again and again, as a server of its own.
+// Plays a recording again and again on its own session, as if it were a server.
 #pragma once
 
 #include <atomic>
@@ -13,7 +13,7 @@ class PlaybackLoop {
  public:
   ~PlaybackLoop();
   void start(const std::string& file, double speed);
-  // The scene of the recording, and where it is served.
+  // The scene of the recording, and the endpoint that serves it.
   std::string scene() const { return scene_; }
   std::string endpoint() const;
 

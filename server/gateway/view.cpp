@@ -1,4 +1,4 @@
-// Opens the gateway: the page, the scene's server or the player of a recording, and what browsers may command.
+// Opens the gateway: the page, the scene's server or the player of a recording, and the control for browsers.
 #include "gateway/view.h"
 
 #include <chrono>
@@ -47,7 +47,7 @@ void run(Doors& doors, Hub& hub, Control* control, const std::atomic<bool>& stop
 }  // namespace
 
 int view(const ViewOptions& options, const std::atomic<bool>& stop) {
-  std::signal(SIGPIPE, SIG_IGN);  // a line that goes while something is written to it does not end the gateway
+  std::signal(SIGPIPE, SIG_IGN);  // a connection that breaks during a write must not end the gateway
   const std::string page = read_page(options.page);
   PlaybackLoop playback;
   Doors doors;

@@ -31,7 +31,7 @@ std::string read_file(const std::filesystem::path& path, size_t most, const std:
   const auto refuse = [&](const std::string& fact) {
     throw std::runtime_error(path.string() + ": " + fact + "; " + remedy + ".");
   };
-  // A pipe that nobody writes to would hold up an open that waits.
+  // O_NONBLOCK, because opening a pipe without a writer would wait.
   const Descriptor file{open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)};
   struct stat info {};
   if (file.number < 0 || fstat(file.number, &info) != 0)

@@ -1,5 +1,5 @@
-// Whole files, in and out, for every verb. In: bytes of what is a file and not too large. Out: a file that is there whole or
-// not at all. Both throw std::runtime_error with one sentence: file, fact, remedy.
+// Reads and writes whole files, for every verb. Reading takes only regular files that are not too large. Writing leaves a whole
+// file or none. Both throw std::runtime_error with one sentence: file, fact, remedy.
 #pragma once
 
 #include <cstddef>
@@ -11,18 +11,18 @@
 
 namespace crumple {
 
-// Bytes of a text that somebody wrote: a scene, a preset, options, a network, a mask. A mask of 1,000 dabs has a tenth of a MB.
+// Most bytes of a text that somebody wrote: a scene, a preset, options, a network, a mask. A mask of 1,000 dabs has 0.1 MB.
 inline constexpr size_t text_limit = size_t{16} << 20;
 
-// Refuses a folder, a pipe and a device, which may never end, and more than `most` bytes, whatever size the file claims: it may
-// be changed while it is read. What is refused so is none of these bytes, and they are the reader's own from then on.
+// Reads a whole file. Refuses folders, pipes and devices, which may never end, and more than `most` bytes, whatever size the
+// file claims, because it may change while it is read. The result is a copy: later changes of the file do not affect it.
 std::string read_file(const std::filesystem::path&, size_t most, const std::string& remedy);
 
-// What comes through a pipe until its end; nothing where that are more than `most` bytes.
+// Reads a pipe to its end; nothing if it gives more than `most` bytes.
 std::optional<std::string> read_pipe(int from, size_t most);
 
-// Writes beside the file and gives it its name in the end, so that no half file is ever left. Where there is a pipe or a device
-// already it is written to.
+// Writes beside the file and renames it at the end, so no half file is ever left. If the path is a pipe or a device, it writes
+// directly to it.
 class FileWriter {
  public:
   explicit FileWriter(std::filesystem::path);

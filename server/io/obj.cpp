@@ -5,7 +5,7 @@
 
 #include "io/files.h"
 
-namespace crumple::client {
+namespace crumple {
 
 void write_obj(const std::string& path, std::string attribution, const std::string& car, uint64_t tick,
                std::span<const float> rest, std::span<const float> displacement, std::span<const uint32_t> triangle) {
@@ -24,4 +24,4 @@ void write_obj(const std::string& path, std::string attribution, const std::stri
   file.finish();
 }
 
-}  // namespace crumple::client
+}  // namespace crumple

@@ -1,7 +1,7 @@
-// The C door to the only Rust of the project: zenoh sessions, MCAP files, pages for Prometheus and for browsers. Nothing here
-// knows what the bytes mean.
-// Pull-based: no callback ever runs on the caller's side; no function but net_poll, net_open and net_close waits.
-// Functions that return int give 0, or a negative Status; transport_error() then has the sentence.
+// The C interface of the project's only Rust: zenoh sessions, MCAP files, HTTP for Prometheus and for browsers. It does not
+// interpret the bytes.
+// The caller polls: there are no callbacks. Only net_poll, net_open and net_close wait.
+// Functions that return int give 0, or a negative Status; then transport_error() has the sentence.
 #pragma once
 
 #include <stddef.h>
@@ -15,14 +15,14 @@ enum TransportStatus {
   TRANSPORT_OK = 0,
   TRANSPORT_BAD_ARGUMENT = -1,
   TRANSPORT_CLOSED = -2,   // session or file is closed or broken
-  TRANSPORT_DROPPED = -3,  // a bounded queue was full: the item was not taken, and counted
+  TRANSPORT_DROPPED = -3,  // a bounded queue was full: the item was dropped and counted
   TRANSPORT_IO = -4,
   TRANSPORT_BAD_FILE = -5,
 };
 
-// The sentence for the last error of this thread; valid until its next call.
+// The sentence for the last error of this thread; valid until the thread's next call.
 const char* transport_error(void);
-// zenoh, mcap and this library's versions as one line.
+// The versions of zenoh, mcap and this library in one line.
 const char* transport_version(void);
 
 #ifdef __cplusplus

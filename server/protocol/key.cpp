@@ -10,7 +10,7 @@ bool is_id_character(char c) {
   return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '_' || c == '-';
 }
 
-// As it would be written: digits without leading zeros, at most `most`.
+// Accepts a number only as it would be printed: no leading zeros, at most `most`.
 std::optional<uint64_t> parse_number(std::string_view text, uint64_t most) {
   uint64_t number = 0;
   const char* const end = text.data() + text.size();
@@ -61,7 +61,7 @@ std::optional<Key> parse_key(std::string_view key) {
   };
   for (const Single& single : singles)
     if (key == single.key) return Key{single.channel, {}, 0};
-  // The whole key is used up by what is taken: a slash at its end is one too many.
+  // The code below uses up the whole key, so a slash at its end would be one too many.
   if (key.ends_with('/')) return std::nullopt;
   std::string_view rest = key;
   const std::string_view kind = take_chunk(rest);

@@ -13,9 +13,9 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "the hash is of little-endian numbers");
 
-constexpr uint32_t block = 16;  // nodes: of 8, 16 and 32 the one with the shortest messages, or within 2 % of it
+constexpr uint32_t block = 16;  // nodes: of 8, 16 and 32 this gives the shortest messages, or is within 2 % of them
 
-// 16 numbers of `width` bits, the first lowest.
+// Appends 16 numbers of `width` bits each, the first in the lowest bits.
 void append(const uint16_t numbers[block], int width, std::vector<uint16_t>& words) {
   uint32_t waiting = 0;
   int bits = 0;

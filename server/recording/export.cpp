@@ -1,6 +1,6 @@
-// Reads the recording once. Surfaces come as viewers get them (keyframes and deltas of level 0); a car's pose is the host's
-// intent, or in a tick that has a reaction what became of it. A frame is the state after the first tick of its time, or of a
-// tick in which a car appears; frames in which nothing changed are left out.
+// Reads the recording once. Surfaces are decoded as viewers do it (keyframes and deltas of level 0). A car's pose is the host's
+// intent, or the reaction in ticks that have one. A frame is the state after the first tick in its time, or after a tick in
+// which a car appears. Frames in which nothing changed are left out.
 #include "recording/export.h"
 
 #include <algorithm>
@@ -23,24 +23,24 @@
 namespace crumple {
 namespace {
 
-struct Shown {  // one car, as long as it has one asset
+struct Shown {  // one car, as long as it keeps its asset
   std::string name;
   std::shared_ptr<const Car> car;
-  std::vector<std::array<uint32_t, 4>> at;  // per vertex: where in the skin's nodes its four are
+  std::vector<std::array<uint32_t, 4>> at;  // per vertex: indices of its four nodes among the skin's nodes
   float quantum = 0;
-  std::vector<client::Quanta> shapes;  // those that differ from rest and from the one before
-  client::Quanta last;                 // the shape of the last key
+  std::vector<viewer::Quanta> shapes;  // shapes that differ from rest and from the previous one
+  viewer::Quanta last;                 // the shape of the last key
   std::vector<Animation::Key> keys;
   double from = 0;  // s: time of the first frame
 };
 
 struct Actor {
-  client::Surface surface;
+  viewer::Surface surface;
   std::string host;
   Pose pose;
-  std::optional<SpawnOrder> spawning;  // asked for, not answered yet
+  std::optional<SpawnOrder> spawning;  // spawn command without an answer yet
   std::optional<Shown> shown;
-  int assets = 0;  // shown so far
+  int assets = 0;  // number of assets shown so far
 };
 
 struct Export {
@@ -49,9 +49,9 @@ struct Export {
   RecordingReader file;
   std::map<std::string, Actor, std::less<>> actors;  // by car
   std::optional<FileWriter> csv;                     // reactions.csv
-  std::ostringstream row;                            // of it, being made
-  double frame_time = 0;                             // s, of the frame before
-  bool appeared = false;                             // a car did in this tick: it is shown before more happens to it
+  std::ostringstream row;                            // the line of reactions.csv being made
+  double frame_time = 0;                             // time of the previous frame, s
+  bool appeared = false;                             // a car appeared in this tick: show it before more happens to it
   size_t objs = 0, glbs = 0, reactions = 0;
 
   std::string path(const std::string& name) const { return (std::filesystem::path(options.folder) / name).string(); }
@@ -116,16 +116,16 @@ void take(const RecordingReader::Item& item, Export& out) {
   if (item.channel == Channel::reactions) return take_reactions(item, out);
   if ((item.channel != Channel::keyframe && item.channel != Channel::delta) || item.level != 0) return;
   Actor& actor = out.actors[std::string(item.key.substr(4, item.key.find('/', 4) - 4))];
-  client::Surface& surface = actor.surface;
+  viewer::Surface& surface = actor.surface;
   out.appeared |= !actor.shown;
-  const auto [applied, why] = item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
-                                                                : client::apply_delta(item.bytes, surface);
-  if (applied == client::Applied::refused)
+  const auto [applied, why] = item.channel == Channel::keyframe ? viewer::apply_keyframe(item.bytes, surface)
+                                                                : viewer::apply_delta(item.bytes, surface);
+  if (applied == viewer::Applied::refused)
     throw std::runtime_error(out.options.file + ": tick " + std::to_string(item.tick) + ": " + why);
 }
 
-// As a viewer computes it (crumple_copy).
-std::vector<Vec3> displacement(const Shown& shown, const client::Quanta& quanta) {
+// The same computation as in a viewer (crumple_copy).
+std::vector<Vec3> displacement(const Shown& shown, const viewer::Quanta& quanta) {
   std::vector<Vec3> out(shown.at.size());
   for (size_t v = 0; v < out.size(); ++v) {
     Vec3 sum = Vec3::Zero();
@@ -174,7 +174,7 @@ void end(Actor& actor, Export& out) {
 }
 
 void show(const std::string& id, Actor& actor, uint64_t tick, double time, Export& out) {
-  const client::Surface& surface = actor.surface;
+  const viewer::Surface& surface = actor.surface;
   if (surface.quanta.empty()) return;
   if (actor.shown && actor.shown->car->hash != surface.asset) end(actor, out);
   const bool first = !actor.shown;
@@ -194,9 +194,8 @@ void show(const std::string& id, Actor& actor, uint64_t tick, double time, Expor
     const Model& model = shown.car->model;
     char name[32];
     std::snprintf(name, sizeof name, "_%06llu.obj", static_cast<unsigned long long>(tick));
-    client::write_obj(out.path(shown.name + name), shown.car->attribution, id, tick,
-                      {model.vertex.data()->data(), 3 * model.vertex.size()}, {moved.data()->data(), 3 * moved.size()},
-                      model.triangle);
+    write_obj(out.path(shown.name + name), shown.car->attribution, id, tick,
+              {model.vertex.data()->data(), 3 * model.vertex.size()}, {moved.data()->data(), 3 * moved.size()}, model.triangle);
     ++out.objs;
   }
   if (!first) {
@@ -204,7 +203,7 @@ void show(const std::string& id, Actor& actor, uint64_t tick, double time, Expor
     if (!changed && before.pose.position == key.pose.position &&
         before.pose.orientation.coeffs() == key.pose.orientation.coeffs())
       return;
-    // It stood still until the frame before.
+    // The car stood still until the previous frame.
     if (out.frame_time - shown.from > before.time)
       shown.keys.push_back({out.frame_time - shown.from, before.pose, before.shape});
   }
@@ -242,7 +241,7 @@ int export_recording(const ExportOptions& options) {
     frame = now;
     out.appeared = false;
   }
-  if (tick > shown_tick) show_all();  // the end is always seen
+  if (tick > shown_tick) show_all();  // always show the end
   for (auto& [id, actor] : out.actors)
     if (actor.shown) end(actor, out);
   out.csv->finish();

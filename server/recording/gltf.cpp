@@ -1,5 +1,6 @@
-// The binary part holds, in this order: indices, rest positions, the displacements of each shape, then of the keys times,
-// translations, rotations and weights; one buffer view and one accessor each. A first pass describes them, a second one writes.
+// The binary part holds, in this order: indices, rest positions, the displacements of each shape, then times, translations,
+// rotations and weights of the keys. Each has one buffer view and one accessor. A first pass describes them, a second writes
+// them.
 #include "recording/gltf.h"
 
 #include <flatbuffers/util.h>
@@ -59,7 +60,7 @@ struct Layout {
   }
 };
 
-// X forward, y left, z up becomes glTF's z forward, x left, y up: a third of a turn about (1, 1, 1).
+// Converts X forward, Y left, Z up to glTF's Z forward, X left, Y up: a third of a turn about (1, 1, 1).
 constexpr const char* upright = "\"rotation\":[-0.5,-0.5,-0.5,0.5]";
 
 std::string describe(const Animation& animation, uint64_t& size) {

@@ -1,5 +1,5 @@
-// One body whose shape and pose change, as a film in one GLB file (glTF 2.0): a mesh with a morph target for each shape, a node
-// that moves, and one animation of both. Written by hand, because assimp's exporter leaves animations of morph targets out.
+// Writes one body with changing shape and pose as a film in one GLB file (glTF 2.0): a mesh with a morph target per shape, a
+// moving node, and one animation of both. Our own writer, because assimp's exporter omits animations of morph targets.
 #pragma once
 
 #include <functional>
@@ -21,14 +21,14 @@ struct Animation {
   std::string name;
   std::string copyright;
   std::span<const Vec3> vertex;        // at rest, m, car's frame
-  std::span<const uint32_t> triangle;  // 3 each
+  std::span<const uint32_t> triangle;  // 3 indices each
   size_t shapes = 0;
-  std::function<std::vector<Vec3>(size_t)> displacement;  // of every vertex from rest, m
+  std::function<std::vector<Vec3>(size_t)> displacement;  // of every vertex from rest, m; argument: number of the shape
   std::vector<Key> keys;
 };
 
-// Shapes and poses are interpolated linearly between keys. Throws std::runtime_error with one sentence: the file cannot be
-// written, or would be over the 4 GiB of the format.
+// Shapes and poses are interpolated linearly between keys. Throws std::runtime_error with one sentence if the file cannot be
+// written or would exceed the 4 GiB of the format.
 void write_glb(const std::string& path, const Animation&);
 
 }  // namespace crumple

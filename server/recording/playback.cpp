@@ -21,7 +21,7 @@ struct Playback {
   Playback(const std::string& path, Net* session) : file(path), net(session), root(root_of(file.head().scene)) {
     net_announce(net, (root + "server").c_str());
   }
-  // For the viewers the next showing is another server: its ticks begin anew.
+  // To viewers the next showing looks like another server: its ticks start again.
   ~Playback() {
     for (const auto& [car, surfaces] : cars) net_retract(net, (root + car).c_str());
     net_retract(net, (root + "server").c_str());
@@ -32,9 +32,9 @@ struct Playback {
   RecordingReader file;
   Net* net;
   std::string root;
-  // By "car/{id}": what viewers of the playback on each level hold now.
-  std::map<std::string, std::array<client::Surface, surface_levels.size()>, std::less<>> cars;
-  std::string despawning;  // its Command came, its Answer did not
+  // By "car/{id}": the surface that viewers hold now, per surface level.
+  std::map<std::string, std::array<viewer::Surface, surface_levels.size()>, std::less<>> cars;
+  std::string despawning;  // car with a Despawn command that has no Answer yet
   LatestInputs latest;
 };
 
@@ -42,12 +42,12 @@ void refuse(Playback& playback, const NetEvent& query, const std::string& senten
   net_reply(playback.net, query.ticket, sentence.data(), sentence.size(), 1);
 }
 
-// The keyframe that the next deltas refer to, whole.
+// Answers with the keyframe to which the next deltas refer, in one part.
 void answer_keyframe(Playback& playback, const NetEvent& query, const Key& key) {
   const auto car = playback.cars.find("car/" + std::string(key.id));
   if (car == playback.cars.end() || car->second[key.number].key.empty())
     return refuse(playback, query, "car " + std::string(key.id) + " does not live at this point of the recording");
-  const client::Surface& surface = car->second[key.number];
+  const viewer::Surface& surface = car->second[key.number];
   const auto parts = encode_keyframe({surface.key_tick, surface.asset, surface.quantum}, surface.key,
                                      static_cast<uint32_t>(surface.key.size() / 3));
   net_reply(playback.net, query.ticket, parts.front().data(), parts.front().size(), 0);
@@ -76,14 +76,14 @@ void answer_until(Playback& playback, Clock::time_point due, const std::atomic<b
   }
 }
 
-// Follows the state of the cars; says to viewers which of them live.
+// Follows the state of the cars, and announces to viewers which cars live.
 void follow(Playback& playback, const RecordingReader::Item& item) {
   if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
     const std::string car(item.key.substr(0, item.key.find('/', 4)));
     const auto [at, fresh] = playback.cars.try_emplace(car);
-    client::Surface& surface = at->second[item.level];
-    static_cast<void>(item.channel == Channel::keyframe ? client::apply_keyframe(item.bytes, surface)
-                                                        : client::apply_delta(item.bytes, surface));
+    viewer::Surface& surface = at->second[item.level];
+    static_cast<void>(item.channel == Channel::keyframe ? viewer::apply_keyframe(item.bytes, surface)
+                                                        : viewer::apply_delta(item.bytes, surface));
     if (fresh) net_announce(playback.net, (playback.root + car).c_str());
   } else if (item.channel == Channel::command) {
     flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
@@ -107,7 +107,7 @@ void show(const std::string& path, const ReplayOptions& options, Net* net, const
     if (!first) first = item.time_ns;
     const double at = 1e-9 * static_cast<double>(item.time_ns - std::min(item.time_ns, *first));
     follow(playback, item);
-    // Obstacles stand until the next ones: also those of before.
+    // Obstacles stay until the next ones come, so earlier ones are published too.
     const bool shown = item.channel == Channel::reactions || item.channel == Channel::keyframe ||
                        item.channel == Channel::delta || item.channel == Channel::health || item.channel == Channel::poses;
     if (item.channel != Channel::obstacles && (!shown || at < options.from)) continue;

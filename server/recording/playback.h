@@ -1,5 +1,5 @@
-// A recording played to viewers: at their times its outputs and where hosts had cars and obstacles, and keyframes and assets
-// for those who ask.
+// Plays a recording to viewers: publishes its outputs, poses and obstacles at their times, and answers queries for keyframes
+// and assets.
 #pragma once
 
 #include "io/net.h"
@@ -7,9 +7,9 @@
 
 namespace crumple {
 
-// Every file once, or for ever with options.loop. Throws std::runtime_error with one sentence.
+// Plays every file once, or for ever with options.loop. Throws std::runtime_error with one sentence.
 void serve_playback(const ReplayOptions&, const std::atomic<bool>& stop);
-// The same on a session that is open.
+// The same on an open session.
 void play_recordings(Net*, const ReplayOptions&, const std::atomic<bool>& stop);
 
 }  // namespace crumple

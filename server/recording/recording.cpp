@@ -11,7 +11,7 @@
 #include "wire/decode.h"
 #include "wire/encode.h"
 
-// The schema of all messages, in the file: a recording explains itself to any MCAP tool.
+// The file contains the schema of all messages, so any MCAP tool can read a recording without other files.
 asm(".pushsection .rodata\n.balign 8\nmessage_schema:\n.incbin \"" CRUMPLE_MESSAGE_BFBS "\"\nmessage_schema_end:\n.popsection");
 extern "C" const uint8_t message_schema[], message_schema_end[];
 
@@ -22,8 +22,8 @@ const char* const program_name = "crumple 0.1.0+" CRUMPLE_PHYSICS;
 namespace {
 
 constexpr const char* head_name = "crumple";
-constexpr const char* counted = "counted";  // what the head says under "end"
-// A reader takes records of up to 256 MiB, and a world of many damaged cars is longer.
+constexpr const char* counted = "counted";  // value of "end" in the head
+// A reader accepts records up to 256 MiB, and the world of many damaged cars is larger.
 constexpr size_t world_piece = size_t{64} << 20;
 
 template <class Visit>
@@ -46,7 +46,7 @@ void visit_limits(Limits& limits, Visit visit) {
 }
 
 template <class Number>
-std::string text_of(Number value) {  // the shortest that reads back as the same bits
+std::string text_of(Number value) {  // shortest text that reads back as the same bits
   char text[32];
   return {text, std::to_chars(text, text + sizeof text, value).ptr};
 }
@@ -182,7 +182,7 @@ int Recording::refuse(const std::string& why) {
   return TRANSPORT_DROPPED;
 }
 
-// What a full queue refuses is asked for again with the next message.
+// If the queue is full, the channel is declared with the next message instead.
 int Recording::id_of(const std::string& key, Channel channel) {
   if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
   if (channels_.size() >= bounds_.most_channels)
@@ -233,7 +233,7 @@ void Recording::output(uint64_t tick, const Message& message, uint64_t time_ns) 
   if (key.empty()) return;
   const Channel channel = channel_of(key);
   const bool written = write(key, channel, tick, time_ns, message.bytes.data(), message.bytes.size());
-  lost_outputs_ += !written && channel != Channel::health;  // which no tick gives
+  lost_outputs_ += !written && channel != Channel::health;  // no tick produces health
 }
 
 void Recording::end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns) {
@@ -285,6 +285,12 @@ void RecordingReader::read_metadata() {
     root_ = root_of(head_.scene);
     return;
   }
+  const char* type;
+  const uint8_t* bytes;
+  size_t size;
+  if (reader_metadata(reader_, 0, &name, &pairs) != 1 && reader_attachment(reader_, 0, &name, &type, &bytes, &size) != 1)
+    throw std::runtime_error(path_ +
+                             ": is empty: its server was killed before it recorded, perhaps while it stood by; delete it");
   throw std::runtime_error(path_ + ": has no metadata \"crumple\": it is not a recording of `crumple serve --record`");
 }
 
@@ -308,7 +314,7 @@ bool RecordingReader::next(Item& item) {
   return true;
 }
 
-// One that the world refused is none here either.
+// An asset that the world refused is left out here too.
 void RecordingReader::take_asset(std::span<const uint8_t> bytes) {
   UploadedAsset asset;
   if (decode(std::as_bytes(bytes), head_.limits, asset)) return;

@@ -1,7 +1,6 @@
-// A copy, record by record, up to the last TickEnd. What stands behind it goes: inputs of a tick that nobody knows the outcome
-// of would be taken by the next tick of whoever replays them, and its outputs may be half there. What was copied keeps its
-// times, sequence and schemas, and the metadata keep the program that recorded it. Its end says how much there is now, and that
-// there was more.
+// Copies the recording, record by record, up to the last TickEnd, and leaves out what follows: a replay would take inputs of an
+// unfinished tick into the next tick, and that tick's outputs may be incomplete. The copy keeps times, sequence numbers and
+// schemas, and its metadata name the program that recorded. Its end states how much it holds now, and that there was more.
 #include "recording/recover.h"
 
 #include <chrono>
@@ -24,9 +23,9 @@ using ReaderHandle = std::unique_ptr<Reader, void (*)(Reader*)>;
 
 struct Found {
   uint64_t ticks = 0, messages = 0;
-  uint32_t last = 0;   // tick
-  uint64_t after = 0;  // messages behind it
-  std::string damage;  // where the file can be read no further
+  uint32_t last = 0;   // last finished tick
+  uint64_t after = 0;  // messages after its TickEnd
+  std::string damage;  // why the rest of the file cannot be read
 };
 
 int need(int status) {
@@ -74,7 +73,7 @@ Found survey(Reader* reader) {
   return found;
 }
 
-// Half a copy would pass for the whole recording.
+// Removes an unfinished copy: it would pass for the whole recording.
 struct Unfinished {
   std::string path;
   int before = std::uncaught_exceptions();
@@ -128,7 +127,7 @@ int recover(const RecoverOptions& options) {
   const RecordingEnd end = end_of(reader.get());
   const std::string trouble = cut || !found.damage.empty() ? "" : trouble_at_end(end, found.ticks, found.messages);
   const bool whole = !cut && found.damage.empty() && found.after == 0 && trouble.empty();
-  // Of a whole file without an end nobody knows whether it is all.
+  // A whole file without an end may or may not be complete.
   const bool known = end.there || !whole;
   copy(reader.get(), found.last, {found.ticks, 0, end.recovered || !whole, known}, options.output);
 

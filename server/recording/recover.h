@@ -1,5 +1,5 @@
-// `crumple recover FILE -o FILE`: what is whole of a recording that was cut off or damaged, as a whole recording: with the
-// summary, index and footer by which any MCAP tool opens it.
+// `crumple recover FILE -o FILE`: copies what is whole of a cut off or damaged recording to a whole recording, with the
+// summary, index and footer that any MCAP tool needs.
 #pragma once
 
 #include <string>

@@ -21,17 +21,17 @@ namespace {
 struct Verdict {
   uint64_t identical = 0;                  // ticks
   uint64_t differs = 0;                    // first differing tick; 0: none
-  std::string how;                         // it differs
-  uint64_t lost = 0;                       // first tick before whose end something is not in the file; 0: none
-  uint64_t outputs_lost = 0, lost_in = 0;  // messages that ticks gave and the file does not have; in which tick first
+  std::string how;                         // in which way it differs
+  uint64_t lost = 0;                       // first tick that lost inputs or whose predecessor is missing; 0: none
+  uint64_t outputs_lost = 0, lost_in = 0;  // outputs that are missing in the file; first tick with such a loss
   uint64_t messages = 0;                   // in the file
   // Not compared:
-  bool health = false, before = false, inputs = false;  // before: what hosts told before the first tick; inputs: of old files
-  uint64_t others = 0, behind = 0;                      // on other programs' keys; after the last TickEnd
+  bool health = false, before = false, inputs = false;  // before: hosts' messages from before the first tick; inputs: old files
+  uint64_t others = 0, behind = 0;                      // messages on other programs' keys; messages after the last TickEnd
   std::string first_other, first_behind;
 };
 
-// A message that a tick gave.
+// One output of a tick.
 struct Output {
   std::string key;
   std::vector<std::byte> bytes;
@@ -48,8 +48,9 @@ void sort_by_key(std::vector<Output>& told) {
   std::stable_sort(told.begin(), told.end(), [](const Output& a, const Output& b) { return a.key < b.key; });
 }
 
-// The first key of which other messages were recorded than were given, and what is wrong with it; "": none. Of those given so
-// many may be lost. Other programs may write keys in another order, but the messages of one in the same.
+// Compares the outputs that ticks gave with the recorded ones. Returns the first key with a difference, and the difference; ""
+// if there is none. Up to `lost` outputs may be missing in the recording. Keys may come in any order, but the messages of one
+// key must have the same order.
 std::string difference(std::vector<Output>& given, std::vector<Output>& recorded, uint64_t lost) {
   sort_by_key(given);
   sort_by_key(recorded);
@@ -75,7 +76,7 @@ bool is_told(Channel channel) {
   return !is_input(channel) && channel != Channel::health && channel != Channel::tick_end && channel != Channel::other;
 }
 
-// What health says and the world knows; the rest is of the machine and the network. "": the same.
+// Compares those parts of health that the world knows; the others depend on machine and network. Returns "" if they are equal.
 std::string difference_in_health(const RecordingReader::Item& item, World& world, double rate) {
   flatbuffers::Verifier verifier(item.bytes.data(), item.bytes.size());
   if (!verifier.VerifyBuffer<schema::Health>(nullptr)) return "health (damaged)";
@@ -109,7 +110,7 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
   Inbox inbox;
   Outbox outbox;
   std::vector<Output> given, recorded;
-  uint64_t inputs = 0;  // the sum of their hashes
+  uint64_t inputs = 0;  // sum of the hashes of the inputs
   shown(*world, outbox);
   add_outputs(outbox, tick_count(*world), given);
   for (RecordingReader::Item item; !stop && file.next(item);) {
@@ -122,7 +123,7 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
     if (is_told(item.channel)) {
       recorded.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.tick});
     } else if (is_input(item.channel) && item.tick == uint32_t(next)) {
-      // Any ticket will do: it only asks for an answer.
+      // Any ticket but 0 will do: it only says that an answer is wanted.
       inbox.push_back({std::string(item.key), {bytes.begin(), bytes.end()}, item.channel == Channel::command ? 1u : 0u});
     } else if (is_input(item.channel)) {
       verdict.before = verdict.identical == 0 && !head.world.empty() && item.tick == uint32_t(now);
@@ -178,7 +179,7 @@ std::string not_compared(const Verdict& verdict) {
   return out;
 }
 
-// One sentence; good: nothing is wrong, as far as the file goes.
+// One sentence about the result. good: nothing is wrong in the part that the file has.
 std::string sentence_of(const RecordingReader& file, const Verdict& verdict, const std::string& time, bool& good) {
   const std::string ticks = std::to_string(verdict.identical), &recorder = file.head().program;
   good = false;

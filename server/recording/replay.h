@@ -1,5 +1,5 @@
-// `crumple replay FILE...`: a recording as an experiment (--verify: the inputs run again, of every tick its hash and all that
-// it gave compared) or as a film (--publish: the outputs sent again, at any speed, to whoever watches).
+// `crumple replay FILE...`: plays a recording as an experiment (--verify: computes the ticks from their inputs again and
+// compares every hash and output) or as a film (--publish: sends the outputs again, at any speed, to all viewers).
 #pragma once
 
 #include <atomic>
@@ -12,9 +12,9 @@ struct ReplayOptions {
   std::vector<std::string> files;
   bool verify = false;
   bool publish = false;
-  int threads = 0;                            // of verify; 0: as many as there are cores
-  std::string listen = "tcp/127.0.0.1:7447";  // of publish
-  std::string network;                        // of publish: JSON5 of zenoh's own configuration, laid over ours; empty: none
+  int threads = 0;                            // for verify; 0: as many as there are cores
+  std::string listen = "tcp/127.0.0.1:7447";  // for publish
+  std::string network;                        // for publish: JSON5 of zenoh's own configuration, overrides ours; empty: none
   double speed = 1;
   double from = 0;  // s since the first tick
   bool loop = false;

@@ -29,7 +29,7 @@ uint64_t wall_ns() {
       std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
 }
 
-// strftime, UTC.
+// Fills in the time with strftime, UTC.
 std::string with_time(const std::string& pattern) {
   char text[4096];
   const std::time_t now = std::time(nullptr);
@@ -38,7 +38,7 @@ std::string with_time(const std::string& pattern) {
   return size > 0 ? std::string(text, size) : pattern;
 }
 
-// Does what may wait for a disk, perhaps for ever, on a thread that nobody has to wait for.
+// Runs work that may wait for a disk, perhaps for ever, on a thread that nobody has to wait for.
 template <class Work>
 auto aside(Work work) {
   std::packaged_task<std::invoke_result_t<Work>()> task(std::move(work));
@@ -52,7 +52,7 @@ bool is_ready(const std::future<Result>& result) {
   return result.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
 }
 
-// A recording in which nothing has begun. A pipe or a device is not ours to remove.
+// Removes a recording without content. Leaves pipes and devices alone: they are not ours to remove.
 void remove_empty(const std::string& file) {
   std::error_code none;
   if (std::filesystem::is_regular_file(file, none)) std::filesystem::remove(file, none);
@@ -75,7 +75,7 @@ void Series::begin(Clock::time_point now) {
   if (options_.minutes > 0) until_ = now + minutes(options_.minutes);
 }
 
-// Takes the recorder once nothing can fail any more.
+// Takes the recorder only when nothing can fail any more.
 std::unique_ptr<Recording> Series::begin(RecorderHandle& recorder) const {
   RecordingHead head = options_.head;
   if (tick_count(world_) > 0) {
@@ -86,14 +86,14 @@ std::unique_ptr<Recording> Series::begin(RecorderHandle& recorder) const {
   Outbox outbox;
   shown(world_, outbox);
   auto recording = std::make_unique<Recording>(std::move(recorder), head, options_.bounds);
-  // For who looks at it: what is seen at the start. The world has these inputs already.
+  // For viewers of the recording: what was visible at the start. The world already contains these inputs.
   for (const Message& message : outbox) recording->output(tick_count(world_), message, wall_ns());
   for (const auto& [key, message] : latest_.messages) recording->input(tick_count(world_), message, wall_ns());
   return recording;
 }
 
-// A quarter is for the file that is being written. One that was moved, and another that has its name now, are not ours to
-// remove.
+// A quarter of the limit is reserved for the open file. A file that was moved, or another file that now has its name, is not
+// ours to remove.
 void Series::keep_within(uint64_t most, const std::string& closed, std::deque<Written>& written) {
   struct stat info {};
   if (stat(closed.c_str(), &info) == 0 && S_ISREG(info.st_mode))
@@ -107,7 +107,8 @@ void Series::keep_within(uint64_t most, const std::string& closed, std::deque<Wr
   }
 }
 
-// The name with the time, or with -2, -3, ... where there is such a file; made here, so that no other server takes it.
+// Creates a file named after the time; adds -2, -3, ... if that name is taken. Creates it here so that no other server takes
+// the name.
 Series::Opened Series::open_another(const std::string& pattern, const std::string& plain, int number) {
   Opened next{"", with_time(pattern), 0, nullptr};
   if (next.plain == plain) next.number = number;
@@ -240,7 +241,7 @@ bool Series::close() {
       remove_empty(first.file);
       return std::string();
     });
-  } catch (const std::system_error& error) {  // it was closed here
+  } catch (const std::system_error& error) {  // no thread: the recording was closed here
     tell_closed(file_ + ": whether it is whole could not be seen (" + error.what() + "): crumple info says it");
   }
   wait_for_end(file_before_, closing_, until);

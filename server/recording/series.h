@@ -1,6 +1,5 @@
-// The recordings of a server, one file after another: none of them grows without end. A file ends when its time is over, or
-// when what it takes of the server's memory comes to a bound; the next one begins with the whole world, and no tick is lost
-// between them.
+// A server's recordings: a series of files, so that none grows without end. A file ends when its time is over, or when it takes
+// too much of the server's memory. The next file begins with the whole world. No tick is lost between the two.
 #pragma once
 
 #include <chrono>
@@ -16,67 +15,67 @@
 
 namespace crumple {
 
-// How long the end of a server waits for the disk: a file's end is written in milliseconds, 64 MiB that wait for it in a second
-// or two.
+// How long a closing server waits for the disk. The end of a file takes milliseconds; 64 MiB in its queue take a second or two.
 inline constexpr std::chrono::seconds longest_end{5};
 
 struct SeriesOptions {
-  std::string pattern;         // of the files' names: strftime, UTC
-  double minutes = 0;          // that a file lasts; 0: until it is full
-  RecordingHead head;          // of each of them, but for what the world holds when it begins
-  uint64_t most = UINT64_MAX;  // bytes of all its files; beyond it the oldest go
+  std::string pattern;         // file name for strftime, UTC
+  double minutes = 0;          // how long a file lasts; 0: until it is full
+  RecordingHead head;          // head of each file, without the world and its time
+  uint64_t most = UINT64_MAX;  // bytes of all its files; beyond it the oldest are deleted
   RecordingBounds bounds = {};
-  // A file lasts so long at least, also where somebody invents cars and hosts to fill it: it begins with the whole world.
+  // A file lasts at least this long, even if somebody invents cars and hosts to fill it: each file begins with the whole world.
   std::chrono::seconds shortest{10};
-  std::function<void(const std::string&)> tell = [](const std::string&) {};  // takes sentences about what is wrong
+  std::function<void(const std::string&)> tell = [](const std::string&) {};  // receives sentences about failures
 };
 
 class Series {
  public:
   using Clock = std::chrono::steady_clock;
-  // Opens the first file, in the place of one that had its name. Throws std::runtime_error if it cannot be created.
+  // Opens the first file; replaces a file of that name. Throws std::runtime_error if the file cannot be created.
   Series(SeriesOptions, const World&, const LatestInputs&);
   ~Series();
   Series(const Series&) = delete;
   Series& operator=(const Series&) = delete;
 
-  // From here on it records; what the world holds already goes in front.
+  // Starts recording. The file begins with the world's present state.
   void begin(Clock::time_point now);
   void input(uint64_t tick, const Message& message, uint64_t time_ns) { recording_->input(tick, message, time_ns); }
   void output(uint64_t tick, const Message& message, uint64_t time_ns) { recording_->output(tick, message, time_ns); }
   void end_tick(uint64_t tick, uint64_t hash, uint64_t time_ns) { recording_->end_tick(tick, hash, time_ns); }
 
-  // To be called between two ticks. No tick waits for the disk: a thread opens the next file and then closes the one before.
-  // Until the next one is open, and where there can be none, the recording goes on in the one that it has. A file that somebody
-  // else has is never written over.
+  // Call it between two ticks. No tick waits for the disk: a thread opens the next file, then closes the one before. Until the
+  // next file is open, and if none can be opened, the recording goes on in its present file. The series never overwrites a file
+  // that somebody else has made.
   void go_on(Clock::time_point now);
-  // Whether the next file is being opened; whether it is, or the one before is still written: until then no other is opened.
+  // is_opening: the next file is being opened. is_closing: that, or the previous file is still being written; until it is done
+  // no other file is opened.
   bool is_opening() const;
   bool is_closing() const;
-  // Tells once of each trouble.
+  // Reports each failure once.
   void tell();
 
   uint64_t lost() const { return lost_before_ + recording_->lost(); }
   const std::string& file() const { return file_; }
-  // Waits for `longest_end`. Returns false if some file is not whole, and has told so.
+  // Waits at most `longest_end`. Returns false if some file is not whole; it has reported that.
   bool close();
 
  private:
   struct Opened {
-    std::string file, plain;  // its name, with and without a number
-    int number = 1;           // of the file among those of one plain name
+    std::string file, plain;  // file name with and without a number
+    int number = 1;           // number of the file among those with this plain name
     RecorderHandle recorder;
   };
-  // Those that are closed, the oldest first, which only the thread that closes them knows.
+  // Closed files, the oldest first. Only the thread that closes files uses them.
   struct Written {
     std::string file;
     uint64_t inode = 0, bytes = 0;
   };
-  // For the thread that opened a file: that one if nothing begins in it, else the one before.
+  // Sent to the thread that opened a file: the new file if nothing is recorded in it, otherwise the previous recording.
   struct Done {
     RecorderHandle empty;
     std::unique_ptr<Recording> before;
-    std::string file;  // of it
+    std::string file;  // file name of `before`
   };
   static void keep_within(uint64_t most, const std::string& closed, std::deque<Written>&);
   static Opened open_another(const std::string& pattern, const std::string& plain, int number);
@@ -90,19 +89,19 @@ class Series {
   SeriesOptions options_;
   const World& world_;
   const LatestInputs& latest_;
-  Opened first_;  // until it begins
+  Opened first_;  // until begin()
   std::unique_ptr<Recording> recording_;
-  std::string file_, plain_;  // of it
+  std::string file_, plain_;  // of recording_
   int number_ = 1;
   Clock::time_point until_ = Clock::time_point::max(), not_before_;
   std::future<Opened> opening_;
   std::promise<Done> done_;
-  std::future<std::string> closing_;  // the thread that opens a file and closes the one before: what is wrong with that
+  std::future<std::string> closing_;  // from the thread that opens a file and closes the one before: what failed in closing
   std::string file_before_;
   std::shared_ptr<std::deque<Written>> written_ = std::make_shared<std::deque<Written>>();
-  uint64_t lost_before_ = 0;  // by recordings that are closed
+  uint64_t lost_before_ = 0;  // by closed recordings
   bool closed_badly_ = false;
-  std::string told_;  // the last sentence about this file
+  std::string told_;  // the last sentence reported about this file
 };
 
 }  // namespace crumple

@@ -8,7 +8,7 @@
 namespace crumple {
 namespace {
 
-// Of the elastic stress on the nodes that `pulled` names, along x, N.
+// Elastic force along x on the nodes that `pulled` marks, N.
 double force_on(const std::vector<uint8_t>& pulled, const Model& model, const Material& material, const DeformableState& body) {
   const Elastic e = elastic(material);
   double force = 0;

@@ -10,13 +10,13 @@
 namespace crumple {
 namespace {
 
-// Of relaxed Jacobi. Added up, the corrections of a node's edges overshoot several times; at 0.2 a car of 400 nodes that starts
-// at a point ends non-finite, at 0.1 more starts are left unfinished after 3 s.
+// Factor of relaxed Jacobi. The added corrections of a node's edges overshoot several times. At 0.2 a car of 400 nodes that
+// starts at a point ends with numbers that are not finite; at 0.1 more starts are unfinished after 3 s.
 constexpr float relaxed_share = 0.15f;
-// N s/m: without any drag a node would have no weight against its neighbours.
+// N s/m: without any drag a node would have no weight relative to its neighbours.
 constexpr float least_drag = 1e-3f;
-// An isotropic network of springs with sum k length^2 = 6 a E a volume has moduli C11 = 6/5 a E, C12 = 2/5 a E; the volumes add
-// E to both. With this a the two together have Young's modulus E (and Poisson ratio 0.40).
+// An isotropic network of springs with sum k length^2 = 6 a E per volume has moduli C11 = 6/5 a E, C12 = 2/5 a E; the volumes
+// add E to both. With this a, both together have Young's modulus E (and Poisson ratio 0.40).
 constexpr float network_share = 0.9f;
 
 uint32_t edges_of(const Model& model) { return uint32_t(model.edge.size()); }
@@ -31,8 +31,8 @@ const Material& material_of(const Model& model, const Parameters& parameters, ui
   return parameters.region[k < edges ? model.node_region[model.edge[k].node[0]] : model.tet_region[k - edges]];
 }
 
-// How far along its gradients a constraint moves its nodes, all of the same weight; `classic` takes a sixth of the step that
-// would meet a volume.
+// How far along its gradients a constraint moves its nodes, which all have the same weight. `classic` takes a sixth of the step
+// that would meet a volume.
 float step_of(const Model& model, const Parameters& parameters, const Constraint& c, uint32_t k) {
   float sum = 0;
   for (int i = 0; i < c.count; ++i) sum += c.gradient[i].squaredNorm();
@@ -54,7 +54,7 @@ void project_contacts(const Model& model, std::span<const Contact> contacts, Def
   }
 }
 
-// share: of a node's added corrections that it makes; counts: of the constraints on each node.
+// share(node, tets): the share of the node's added corrections that it makes; tets: in the pass over the volumes.
 template <class Share>
 void solve_jacobi(const Model& model, const Parameters& parameters, std::span<const Contact> contacts, const Share& share,
                   DeformableState& body) {
@@ -106,7 +106,7 @@ Structure build_structure(const Model& model) {
   }
   for (uint32_t node = 0; node < model.node.size(); ++node)
     out.tets[node] = model.node_first[node + 1] - model.node_first[node];
-  // The tets around an edge are those that both of its nodes have.
+  // The tets around an edge are those that contain both of its nodes.
   for (size_t e = 0; e < model.edge.size(); ++e) {
     const auto [a, b] = model.edge[e].node;
     for (uint32_t k = model.node_first[a]; k < model.node_first[a + 1]; ++k) {
@@ -114,7 +114,7 @@ Structure build_structure(const Model& model) {
       for (uint32_t node : model.tet[tet].node) out.edge_volume[e] += node == b ? model.tet_rest[tet] : 0;
     }
   }
-  // Greedy: the lowest colour that none of its nodes has yet. Edges and tets never share one.
+  // Greedy: the lowest colour that none of its nodes has yet. Edges and tets never share a colour.
   const DeformableState rest = make_body(model);
   const auto colour = [&](uint32_t from, uint32_t to) {
     std::vector<std::vector<uint32_t>> groups;
@@ -222,7 +222,7 @@ void deform_baseline(Baseline baseline, const Model& model, const Structure& str
   ContactSet found;
   const std::vector<Contact>& contacts = found.contact;
   find_candidates({model, parameters, mass, obstacles, seconds}, body, motion, found);
-  if (found.candidate.empty() && body.settled && !body.touching) {  // what held it may just have gone
+  if (found.candidate.empty() && body.settled && !body.touching) {  // what held the body may have gone
     motion.pose = advance(motion, mass, seconds);
     return;
   }

@@ -1,6 +1,6 @@
-// A mesh of tets as the solver wants it, without a bake, some of its nodes held where the caller says: how scenes that other
-// programs play with prescribed nodes (bench/peers) are played by the product's own deform(). A held node is an anchored one
-// whose place of rest moves.
+// A mesh of tets in the solver's form, without a bake. The caller prescribes the positions of some nodes. So our own deform()
+// can play scenes that other programs play with prescribed nodes (bench/peers). A held node is an anchored node whose rest
+// position moves.
 #pragma once
 
 #include <memory>
@@ -18,7 +18,7 @@ class HeldMesh {
   HeldMesh(const HeldMesh&) = delete;
 
   const Model& model() const { return model_; }
-  // n: where each held node stands from the next call of deform() on, m; of the others their rest.
+  // n: position of each held node from the next deform() on, m; for other nodes the rest position.
   std::vector<Vec3> place;
 
  private:
@@ -30,13 +30,14 @@ class HeldMesh {
   Model model_;
 };
 
-// A frame that stands, whatever pushes.
+// The mass of a frame that stands still, whatever pushes it.
 Mass fixed_mass();
 
-// One sub-step of substep_seconds(), the held nodes at their places at its end. A body whose held nodes moved is not at rest.
+// One sub-step of substep_seconds(); at its end the held nodes are at their places. Marks the body as not settled, because its
+// held nodes moved.
 void hold(const HeldMesh&, const Parameters&, std::span<const Obstacle>, Scratch&, DeformableState&);
 
-// Ticks until nothing moves, at most two seconds. All nodes are awake at first: what held them may have been taken away.
+// Makes ticks until nothing moves, for at most two seconds. First wakes all nodes, because what held them may be gone.
 void come_to_rest(const HeldMesh&, const Parameters&, Scratch&, DeformableState&);
 
 }  // namespace crumple

@@ -1,5 +1,5 @@
-// See reference_law.h. Letters: s principal stretches of F (negative where it mirrors), P principal first Piola-Kirchhoff
-// stresses, A = d(P)/d(s), q plastic strain of the step, n its direction.
+// Letters (more in law.h): s principal stretches of F (negative where it mirrors), P principal first Piola-Kirchhoff stresses,
+// A = d(P)/d(s), q plastic strain of the step, n its direction.
 #include "reference/law.h"
 
 #include <algorithm>
@@ -11,7 +11,7 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-// Elastic alone, in logarithmic strains.
+// The elastic response alone, in logarithmic strains.
 Mapped elastic_point(const ReferenceMaterial& m, const Vector3d& strain) {
   Mapped out;
   const Vector3d squared = (2 * strain).array().exp();
@@ -28,8 +28,8 @@ double plastic_work(const ReferenceMaterial& m, double kappa, double growth) {
   return (m.start + m.slope * (kappa + 0.5 * growth)) * growth;
 }
 
-// Flow by the multiplier D (1/Pa): strain + D stress(strain) = trial. For one D that minimises psi + |trial - strain|^2 / (2
-// D).
+// Flow with the multiplier D (1/Pa): strain + D stress(strain) = trial.
+// For a given D it minimises psi + |trial - strain|^2 / (2 D).
 Vector3d flowed_by(const ReferenceMaterial& m, const Vector3d& trial, double d) {
   Vector3d strain = trial / (1 + m.shear * d);
   const auto sum = [&](const Vector3d& e) { return d * elastic_point(m, e).energy + 0.5 * (trial - e).squaredNorm(); };
@@ -45,8 +45,8 @@ Vector3d flowed_by(const ReferenceMaterial& m, const Vector3d& trial, double d) 
   return strain;
 }
 
-// The elastic strain of the step's end. Along D the stress falls and kappa = D |stress| grows until the first meets the yield
-// surface, or kappa its limit: Newton on strain and D together, and where that strays bisection on D.
+// The elastic strain at the end of the step. As D grows, the stress falls and kappa = D |stress| grows, until the stress meets
+// the yield surface or kappa its limit. Newton's method on strain and D together; if that fails, bisection on D.
 Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double kappa) {
   const double yield = m.start + m.slope * kappa, room = m.limit - kappa;
   const auto excess = [&](double norm, double d) {
@@ -76,7 +76,7 @@ Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double
     }
     return false;
   };
-  // From where the logarithmic law would end.
+  // Starts from the solution of the logarithmic law.
   const auto begin = [&](bool full) {
     const double size = trial.norm(), grown = full ? room : (m.shear * size - yield) / (m.shear + m.slope);
     const double share = std::clamp(1 - grown / size, 1e-3, 1.0);
@@ -101,7 +101,7 @@ Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double
   return strain;
 }
 
-// Principal P and A at the signed stretches s.
+// Principal P and A for the signed stretches s.
 struct Principal {
   double energy = 0;
   Vector3d p;
@@ -139,7 +139,8 @@ Principal mapped_principal(const ReferenceMaterial& m, const Vector3d& s, double
   return out;
 }
 
-// As secant(): deviator / (1 + shear D) and mean / (1 + bulk D), D where the yield surface, grown by D |stress|, is met.
+// Like secant(): deviator / (1 + shear D) and mean / (1 + bulk D), where D is such that the yield surface, grown by D |stress|,
+// is met.
 Vector3d secant_stress(const ReferenceMaterial& m, const Vector3d& s, double kappa, bool& elastic) {
   const double j = s.prod();
   const Vector3d tau = (m.mu * s.cwiseAbs2()).array() + m.l * (j - m.gamma) * j;
@@ -221,7 +222,8 @@ Mapped map_strain(const ReferenceMaterial& m, const Vector3d& trial, double kapp
   out.growth = size;
   out.work = plastic_work(m, kappa, size);
   out.energy += out.work;
-  // tangent = (H^-1 + S^-1)^-1 with H of psi and S of the plastic work, whose stiffness across n is |stress| / |q|.
+  // tangent = (H^-1 + S^-1)^-1 with H the Hessian of psi and S the Hessian of the plastic work. Across n the stiffness of the
+  // plastic work is |stress| / |q|.
   const Matrix3d along = n * n.transpose();
   const double softest = 1e-9 * m.shear;
   const Matrix3d give = (full ? 0 : 1 / std::max(m.slope, softest)) * along +
@@ -265,8 +267,8 @@ TetLaw tet_law(FlowLaw law, const ReferenceMaterial& m, const Matrix3d& f, doubl
   out.stress = u * point.p.asDiagonal() * v.transpose();
   if (!want_tangent) return out;
 
-  // Stretching along the axes: A. Of each pair of axes: shear, (P_i - P_k) / (s_i - s_k), and rotation, (P_i + P_k) / (s_i +
-  // s_k).
+  // Stretching along the axes: A. For each pair of axes: shear, (P_i - P_k) / (s_i - s_k), and rotation,
+  // (P_i + P_k) / (s_i + s_k).
   Matrix3d a = 0.5 * (point.a + point.a.transpose());
   if (project) {
     const Eigen::SelfAdjointEigenSolver<Matrix3d> axes(a);

@@ -1,10 +1,10 @@
-// The law of one tet in double precision, from the mathematics in flow.h's head alone; shares no code with flow.cpp.
-// In: logarithmic principal strains of the trial Fe (this sub-step's F on the last plastic state) and kappa.
-// Out: what one implicit step of the flow rule leaves.
-//   mapped   psi(strain) + integral of Y d(kappa) is minimised over the elastic strain: exact return mapping, associated,
-//            with the neo-Hookean stress at the strain that is left. It has a potential: stress = d(energy) / d(trial).
+// The law of one tet in double precision. It is written from the formulas at the top of flow.h alone and shares no code with
+// flow.cpp. In: logarithmic principal strains of the trial Fe (this sub-step's F on the last plastic state) and kappa.
+// Out: the result of one implicit step of the flow rule.
+//   mapped   minimises psi(strain) + integral of Y d(kappa) over the elastic strain: exact return mapping, associated, with the
+//            neo-Hookean stress at the remaining strain. It has a potential: stress = d(energy) / d(trial).
 //   secant   the sweeps' shortcut (secant() and flow()): the neo-Hookean stress at the *trial* strain, scaled back. It has no
-//            potential in general. Kept to tell an unconverged solver from a different law.
+//            potential in general. Kept to distinguish an unconverged solver from a different law.
 #pragma once
 
 #include <Eigen/Dense>
@@ -19,26 +19,26 @@ struct ReferenceMaterial {
   double mu, l, gamma;  // neo-Hookean: mu/2 |F|^2 + l/2 (J - gamma)^2, Pa
   double shear, bulk;   // 2 mu and 3 K, Pa
   double start, slope;  // Y = start + slope kappa, Pa
-  double limit;         // of kappa
+  double limit;         // largest kappa
 };
 ReferenceMaterial reference_material(const Material&);
 
-// Trial strains with a smaller volume ratio than this do not flow, as in flow().
+// Trial strains with a smaller volume ratio do not flow, as in flow().
 inline constexpr double smallest_flowing_ratio = 0.02;
 
 struct Mapped {
   double energy = 0;                                  // elastic + plastic work of the step, J/m^3; `mapped` only
   Eigen::Vector3d stress = Eigen::Vector3d::Zero();   // Kirchhoff, principal, Pa
   Eigen::Matrix3d tangent = Eigen::Matrix3d::Zero();  // d(stress) / d(trial), Pa; `mapped` only
-  Eigen::Vector3d strain = Eigen::Vector3d::Zero();   // elastic logarithmic strain that is left
-  double growth = 0;                                  // of kappa
-  double work = 0;                                    // plastic, J/m^3
+  Eigen::Vector3d strain = Eigen::Vector3d::Zero();   // remaining elastic logarithmic strain
+  double growth = 0;                                  // growth of kappa
+  double work = 0;                                    // plastic work, J/m^3
 };
 
 // Exact return mapping of principal logarithmic strains.
 Mapped map_strain(const ReferenceMaterial&, const Eigen::Vector3d& trial, double kappa);
 
-// What flow() does to the same strains, its root found to the last bit: stress is that at the strain that is left.
+// What flow() does to the same strains, with its root found to the last bit: `stress` is at the remaining strain.
 Mapped flow_strain(const ReferenceMaterial&, const Eigen::Vector3d& trial, double kappa);
 
 // One tet at F = trial Fe.
@@ -47,10 +47,10 @@ struct TetLaw {
   Eigen::Matrix3d stress;               // first Piola-Kirchhoff, Pa
   Eigen::Matrix<double, 9, 9> tangent;  // d(stress) / d(F), columns of F stacked; symmetric part
 };
-// project: its negative eigenvalues are put to zero.
+// project: sets the tangent's negative eigenvalues to zero.
 TetLaw tet_law(FlowLaw, const ReferenceMaterial&, const Eigen::Matrix3d& f, double kappa, bool want_tangent, bool project);
 
-// What flow leaves of this F: Fe = f * factor. growth and work as above.
+// The result of flow at this F: Fe = f * factor. growth and work as above.
 struct Flowed {
   Eigen::Matrix3d factor = Eigen::Matrix3d::Identity();
   double growth = 0, work = 0;

@@ -1,5 +1,5 @@
-// See reference.h. Each node has a basis Z of the directions in which it may move: three columns where it is free, none where
-// it is anchored or sticks; the Newton system is Z^T K Z. Names: g gradient of the potential, N; gap = normal . x - offset, m.
+// Each node has a basis Z of the directions in which it may move: three columns if it is free, none if it is anchored or
+// sticks. The Newton system is Z^T K Z. Names: g gradient of the potential, N; gap = normal . x - offset, m.
 #include "reference/newton.h"
 
 #include <Eigen/Sparse>
@@ -18,13 +18,13 @@ using Positions = std::vector<Vector3d>;
 using Basis = Eigen::Matrix<double, 3, Eigen::Dynamic, 0, 3, 3>;
 
 constexpr double touching_gap = 1e-10;  // m
-constexpr double noise_strain = 1e-4;   // residuals are measured against the force of this strain at least: round-off
+constexpr double noise_strain = 1e-4;   // round-off: residuals are measured relative to at least the force of this strain
 
 // One obstacle's plane on one node in double precision.
 struct Plane3 {
   Vector3d normal;
   double offset;
-  Vector3d stuck;  // where the node sticks to the obstacle, on the plane
+  Vector3d stuck;  // where the node would stick to the obstacle, on the plane
   double friction;
   double gap(const Vector3d& x) const { return normal.dot(x) - offset; }
 };
@@ -39,7 +39,7 @@ struct Problem {
   ReferenceOptions options;
   std::vector<ReferenceMaterial> material;   // per region
   std::vector<double> drag, anchor;          // per node, N/m
-  std::vector<double> grip;                  // per node: of the size of its stiffness, N/m
+  std::vector<double> grip;                  // per node: about its stiffness, N/m
   std::vector<char> fixed;                   // per node
   std::vector<std::vector<Plane3>> contact;  // per node
 
@@ -80,7 +80,7 @@ Matrix3d deformation_of(const Tet& tet, const Matrix3d& rows, std::span<const Ve
   return edges * rows;
 }
 
-// Springs for the anchored nodes that contacts reach, as stiffen_anchors in nodal.cpp.
+// Attaches springs to the anchored nodes that contacts reach, like stiffen_anchors in nodal.cpp.
 void stiffen_anchors(const Parameters& parameters, double most, Problem& problem) {
   const Model& model = problem.model;
   double sum = 0;
@@ -101,7 +101,7 @@ void stiffen_anchors(const Parameters& parameters, double most, Problem& problem
 
 struct Forces {
   Positions gradient;  // per node, N
-  double largest = 0;  // force of one tet on one corner, N: the measure of residuals
+  double largest = 0;  // largest force of a tet on a corner, N: residuals are relative to it
   double energy = 0;   // J
 };
 
@@ -132,27 +132,27 @@ Forces forces(const Problem& problem, std::span<const Vector3d> x) {
 
 // ---- contacts ---------------------------------------------------------------------------------------------------------------
 
-// What holds a node, seen from its gradient: the planes it touches and presses on. Friction is the zero of
+// The planes that hold a node: it touches them and its gradient presses on them. Friction is the zero of
 //   -g_t - (-g_t + grip slip, cut to the cone)        (Alart and Curnier 1991)
-// with g_t the tangential gradient, slip the way from where the node would stick, grip any stiffness: within the cone the slip
-// must vanish, beyond it the force has the cone's length. It is linearised with the size of the cone held.
+// with g_t the tangential gradient, slip the distance from where the node would stick, and grip any stiffness. Within the cone
+// the slip must vanish; outside it the force has the cone's length. It is linearised with the size of the cone fixed.
 struct Hold {
   unsigned planes = 0;                 // bit k: contact k
-  Vector3d force = Vector3d::Zero();   // of the contacts on the node without friction, N
-  bool rubs = false;                   // one plane with friction holds it
-  bool sticks = false;                 // ... within the cone
-  double wrong = 0;                    // what is not balanced, N
-  Vector3d pull = Vector3d::Zero();    // gradient of what the next move minimises, N
-  Vector3d driven = Vector3d::Zero();  // the part of the next move that is prescribed, m
-  Matrix3d stiff = Matrix3d::Zero();   // of friction, N/m
+  Vector3d force = Vector3d::Zero();   // of the contacts on the node, without friction, N
+  bool rubs = false;                   // one plane, with friction, holds it
+  bool sticks = false;                 // ... and the force lies within the cone
+  double wrong = 0;                    // unbalanced force, N
+  Vector3d pull = Vector3d::Zero();    // gradient of the function that the next move minimises, N
+  Vector3d driven = Vector3d::Zero();  // prescribed part of the next move, m
+  Matrix3d stiff = Matrix3d::Zero();   // stiffness of friction, N/m
   Basis basis;
 };
 
 int lone(unsigned planes) { return planes == 1 ? 0 : planes == 2 ? 1 : 2; }
 bool single(unsigned planes) { return planes != 0 && (planes & (planes - 1)) == 0; }
 
-// lambda >= 0 on the planes of `set` so that sum lambda normal is nearest to `target`; false where one is negative or the
-// planes are nearly parallel.
+// Finds lambda >= 0 on the planes of `set` so that sum lambda normal is nearest to `target`. Returns false if one is negative
+// or the planes are nearly parallel.
 bool spread(const std::vector<Plane3>& contact, unsigned set, const Vector3d& target, Vector3d& sum) {
   Basis normals(3, 0);
   for (size_t k = 0; k < contact.size(); ++k) {
@@ -168,7 +168,7 @@ bool spread(const std::vector<Plane3>& contact, unsigned set, const Vector3d& ta
   return true;
 }
 
-// The nearest point on the free side of the node's planes; of planes that leave no room the deepest wins.
+// The nearest point on the free side of the node's planes. If the planes leave no room, the deepest wins.
 Vector3d outside(const std::vector<Plane3>& contact, const Vector3d& x) {
   const auto clear = [&](const Vector3d& point) {
     return std::all_of(contact.begin(), contact.end(), [&](const Plane3& p) { return p.gap(point) > -0.5 * touching_gap; });
@@ -227,7 +227,7 @@ Hold hold_of(const Problem& problem, size_t node, const Vector3d& x, const Vecto
   for (size_t k = 0; k < contact.size(); ++k) {
     const Plane3& plane = contact[k];
     touched |= unsigned(plane.gap(x) < touching_gap) << k;
-    if (plane.gap(x) > -touching_gap) continue;  // else it is inside: taken to where it sticks, at once
+    if (plane.gap(x) > -touching_gap) continue;  // the node is inside: move it at once to where it sticks
     hold.driven = outside(contact, plane.friction > 0 ? plane.stuck : x) - x;
     hold.wrong = problem.grip[node] * hold.driven.norm();
     hold.basis = Basis(3, 0);
@@ -270,7 +270,7 @@ void add_block(size_t row, size_t column, const Eigen::Ref<const Eigen::MatrixXd
   }
 }
 
-// Of all nodes, three rows each, friction with it.
+// The stiffness matrix of all nodes, three rows each, including friction.
 Sparse stiffness(const Problem& problem, std::span<const Vector3d> x, const std::vector<Hold>& hold, bool project) {
   const Model& model = problem.model;
   Entries entries;
@@ -298,7 +298,7 @@ Sparse stiffness(const Problem& problem, std::span<const Vector3d> x, const std:
   return matrix;
 }
 
-// Moves of all nodes: what is driven, and what the rest then does.
+// The moves of all nodes: the prescribed moves, and how the other nodes then move.
 Eigen::VectorXd newton_move(const Problem& problem, std::span<const Vector3d> x, const std::vector<Hold>& hold) {
   const int size = 3 * int(x.size());
   Eigen::VectorXd driven(size), pull(size);
@@ -325,7 +325,7 @@ Eigen::VectorXd newton_move(const Problem& problem, std::span<const Vector3d> x,
   return driven + basis * factor.solve(right);
 }
 
-// Slope of what is minimised at `at` along the way that led there; the friction of this pass linear.
+// Slope of the minimised function at `at` along the move that led there, with this pass's friction linear.
 double slope_along(const Forces& there, std::span<const Vector3d> from, std::span<const Vector3d> at,
                    const std::vector<Hold>& hold, const Positions& gradient) {
   double sum = 0;
@@ -360,7 +360,7 @@ Solution solve(const Problem& problem, Positions& x, ReferenceStep& step) {
     const Eigen::VectorXd move = newton_move(problem, x, now.hold);
     double start = 0;
     for (size_t i = 0; i < x.size(); ++i) start += now.hold[i].pull.dot(move.segment<3>(3 * int(i)));
-    // Along the way what is minimised must not rise again much: halve until it does not. A driven move is taken whole.
+    // Along the move the function must not rise again much: halve the move until it does not. A prescribed move is taken whole.
     for (double share = 1;; share *= 0.5) {
       Positions next = x;
       for (size_t i = 0; i < x.size(); ++i) next[i] = outside(problem.contact[i], x[i] + share * move.segment<3>(3 * int(i)));
@@ -431,7 +431,7 @@ ReferenceStep step_reference(const Model& model, const Parameters& parameters, s
 void follow_reference(const Model& model, const Parameters& parameters, std::span<const Obstacle> obstacles,
                       std::span<const Pose> path, double h, const ReferenceOptions& options, const ReferenceWatch& watch,
                       ReferenceState& state) {
-  ContactSet contacts;  // any node may meet any obstacle
+  ContactSet contacts;  // with candidates: any node may meet any obstacle
   for (uint32_t k = 0; k < obstacles.size(); ++k) {
     contacts.candidate.push_back({k, {}});
     for (uint32_t i = 0; i < model.node.size(); ++i) contacts.candidate[k].node.push_back(i);

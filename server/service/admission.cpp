@@ -10,17 +10,18 @@
 namespace crumple {
 namespace {
 
-// Of each host the transport keeps the latest poses and the latest obstacles between two ticks.
-constexpr size_t sample_limit = size_t{1} << 20;  // bytes; Poses of 1,000 cars have 200 kB
-// A keyframe is copied and packed: some 20 us. A command may copy a whole body (spawn, save, load), a query for an asset copies
-// 256 KiB: some ms at 50,000 nodes. The check of an uploaded car takes as long at a tenth of them, and the last inputs of all
-// hosts may have 16 MiB: one of these a tick.
+// Bytes of one sample. Between two ticks the transport keeps only the latest poses and the latest obstacles of each host. Poses
+// of 1,000 cars have 200 kB.
+constexpr size_t sample_limit = size_t{1} << 20;
+// What a tick may spend on queries, in keyframes. A keyframe is copied and compressed: some 20 us. A command may copy a whole
+// body (spawn, save, load) and a query for an asset copies 256 KiB: some ms at 50,000 nodes. A tick takes only one uploaded
+// car, whose check takes as long at a tenth of the nodes, or one query for the last inputs of all hosts, which may have 16 MiB.
 constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
-constexpr size_t long_asset = size_t{64} << 10;          // bytes; what is shorter is no car, and refused at once
-constexpr size_t query_bytes_limit = size_t{256} << 20;  // of all that wait: four of the longest
-constexpr size_t command_limit = size_t{32} << 20;       // bytes: the state of a car of 100,000 nodes that is loaded
-// Samples a second of hosts of which nothing is known yet. A publisher may invent hosts, and each takes two channels of the
-// recording, which may have 60,000 in the 10 s that a file lasts at least. The 64 hosts of a scene need 128.
+constexpr size_t long_asset = size_t{64} << 10;          // bytes; anything shorter is no car, and is refused quickly
+constexpr size_t query_bytes_limit = size_t{256} << 20;  // of all waiting queries: four of the longest
+constexpr size_t command_limit = size_t{32} << 20;       // bytes: a load command with the state of a car of 100,000 nodes
+// Samples a second of unknown hosts. A publisher may invent hosts, and each takes two channels of the recording, which may have
+// 60,000 in the 10 s that a file lasts at least. The 64 hosts of a scene need 128.
 constexpr size_t newcomers_limit = 2'048;
 
 void need(int status) {
@@ -41,7 +42,7 @@ void Admission::open(Net* net, const World& world) {
   for (const char* what : {"car/*/key/*", "replica/world", "inputs"})
     need(net_queryable(net, (root_ + what).c_str(), query_limit, question_limit));
   need(net_queryable(net, (std::string(asset_root) + "*").c_str(), query_limit, question_limit));
-  forget_hosts(net, world);  // a server that takes over knows the hosts of the one before
+  forget_hosts(net, world);  // a server that takes over knows the hosts of the previous owner
 }
 
 void Admission::refuse_query(Net* net, uint64_t ticket, const std::string& sentence) {
@@ -89,7 +90,7 @@ std::vector<std::shared_ptr<const Car>> Admission::all_cars(const World& world) 
   return cars;
 }
 
-// Queries come before samples: a host may spawn a car and move it at once.
+// Queries come before samples, so a host may spawn a car and move it at once.
 Inbox Admission::admit(Net* net, const World& world) {
   Inbox inbox;
   for (int left = queries_pay; !queries_.empty(); queries_.pop_front()) {
@@ -119,7 +120,7 @@ void Admission::forget_hosts(Net* net, const World& world) {
   for (const std::string& host : known_)
     if (!std::binary_search(now.begin(), now.end(), host)) net_withdraw(net, (root_ + "host/" + host + "/").c_str());
   latest_.forget_others(now);
-  std::string keys;  // of the known hosts: a flood of others must not deafen the server to them
+  std::string keys;  // of the known hosts: a flood of messages from others must not hide theirs
   for (const std::string& host : now)
     for (const char* what : {"/poses", "/obstacles"}) keys += (keys.empty() ? "" : ",") + root_ + "host/" + host + what;
   need(net_prefer(net, keys.c_str()));

@@ -1,5 +1,5 @@
-// The door. Each key from the network is parsed here, once; what it cannot be is refused and counted. Queries wait in line, and
-// a tick lets in as many as it can pay for, so that no sender makes it long.
+// Admits network messages to the tick. Each key from the network is parsed here, once; unknown keys are refused and counted.
+// Queries wait in a queue. Each tick takes only as many as it has time for, so no sender can make a tick long.
 #pragma once
 
 #include <cstdint>
@@ -16,22 +16,22 @@
 
 namespace crumple {
 
-// Queries that may wait. Beyond it they are refused.
+// Most queries that may wait. Further ones are refused.
 inline constexpr uint32_t query_limit = 1'000;
 
 class Admission {
  public:
   Admission(std::string root, const std::vector<std::shared_ptr<const Car>>& cars) : root_(std::move(root)), cars_(cars) {}
 
-  // Subscribes to what hosts publish, and answers queries from then on. Throws std::runtime_error.
+  // Subscribes to the hosts' messages and starts answering queries. Throws std::runtime_error.
   void open(Net*, const World&);
-  // Queues a query, or a host's sample. Other events are none of its business.
+  // Queues a query or a host's sample. Ignores other events.
   void take(Net*, const NetEvent&, const Key&);
-  // The inputs of the next tick: of the waiting queries those that it pays for, then the samples. Answers the queries that need
-  // no tick.
+  // Returns the inputs of the next tick: the waiting queries that it has time for, then the samples. Answers the queries that
+  // need no tick.
   Inbox admit(Net*, const World&);
-  // Once a second: forgets hosts that have nothing in the scene any more, what they told last and the keys of what they were
-  // told.
+  // Call it once a second. Forgets hosts that have nothing in the scene any more: their latest messages, and the keys on which
+  // the server published to them.
   void forget_hosts(Net*, const World&);
 
   const LatestInputs& latest() const { return latest_; }
@@ -40,7 +40,7 @@ class Admission {
   uint64_t queries_refused() const { return queries_refused_; }
 
  private:
-  // A query that waits, the channel of its key, and the hash of the baked car if it asks for a piece of one.
+  // A waiting query: its channel, its message, and the asset's hash if it asks for a piece of an asset.
   struct Query {
     Channel channel;
     std::string hash;
@@ -54,7 +54,7 @@ class Admission {
   std::string root_;  // "crumple/1/{scene}/"
   const std::vector<std::shared_ptr<const Car>>& cars_;
   std::vector<std::string> known_;  // ids of the hosts that had something in the scene a second ago
-  size_t newcomers_ = 0;            // samples of other hosts in this second
+  size_t newcomers_ = 0;            // samples of all other hosts in this second
   std::deque<Query> queries_;
   size_t queries_bytes_ = 0;
   uint64_t queries_refused_ = 0, keys_refused_ = 0;

@@ -13,7 +13,7 @@ struct Metric {
   const char* count;  // its name in health
   const char* name;
   const char* help;
-  double unit = 1;  // of one of health's, in the metric's
+  double unit = 1;  // one unit of health's count, in the metric's unit
 };
 constexpr std::array metrics = {
     Metric{"cars", "cars", "Cars that live in the scene."},

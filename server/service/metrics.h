@@ -1,4 +1,4 @@
-// What health says, as the page that Prometheus reads: text format 0.0.4, names by its conventions (seconds, metres, _total).
+// Converts health to the page that Prometheus reads: text format 0.0.4, names by its conventions (seconds, metres, _total).
 #pragma once
 
 #include <string>
@@ -7,7 +7,7 @@
 
 namespace crumple {
 
-// health: as health() of world.h gives it. Every count of it is on the page.
+// health: the message of health() in tick/health.h. The page has all its counts.
 std::string metrics_page(const Message& health, const std::string& scene);
 
 }  // namespace crumple

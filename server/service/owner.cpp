@@ -10,7 +10,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::chrono::milliseconds look{2000};  // for an owner, before the scene is claimed
+constexpr std::chrono::milliseconds look{2000};  // how long to look for an owner before claiming the scene
 
 void need(int status) {
   if (status < 0) throw std::runtime_error(transport_error());
@@ -32,7 +32,7 @@ bool claim_scene(Net* net, const std::string& scene, const Owner& owner, const s
     NetEvent events[16];
     const int got = net_poll(net, events, 16, 50'000);
     need(got);
-    // Where the own line is cut, or this process slept, nobody was seen: it is looked anew.
+    // While this server's link was down or the process slept, it could see nobody: start over.
     const auto before = std::exchange(looked, Clock::now());
     if (net_connected(net) != 1 || looked - before > longest_blink) until = looked + look;
     for (int k = 0; k < got; ++k)

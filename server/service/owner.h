@@ -1,5 +1,5 @@
-// Who owns a scene stands in a token, owner/{epoch}-{id}. The epoch counts up with each takeover: a server that was only cut
-// off, and meets the token of a later epoch when it is back, knows that it was replaced.
+// The owner of a scene announces a token, owner/{epoch}-{id}. Each takeover increases the epoch. A server that was only cut off
+// and sees the token of a later epoch when it is back knows that it was replaced.
 #pragma once
 
 #include <atomic>
@@ -20,15 +20,15 @@ struct Owner {
 };
 std::string random_id();
 
-// A server that looked away from the network for longer, because the machine slept or had no time, knows nothing of who is
-// there now: its own line may be cut, which it learns a little later.
+// If a server did not look at the network for longer than this, because the machine slept or was busy, it does not know which
+// servers are there: its own link may be down, which it learns only a little later.
 inline constexpr std::chrono::milliseconds longest_blink{1000};
 
-// Announces this owner at a router, after a look for another one. False if `stop` came first. Throws std::runtime_error: the
-// scene has an owner.
+// Waits to see whether the scene has another owner, then announces this one at a router. Returns false if `stop` came first.
+// Throws std::runtime_error if the scene has an owner.
 bool claim_scene(Net*, const std::string& scene, const Owner&, const std::atomic<bool>& stop);
 
-// Whether the token of this key says that a later owner is there.
+// Whether this key is the token of a later owner.
 bool is_replaced(const Owner&, const Key&);
 
 }  // namespace crumple

@@ -1,5 +1,5 @@
-// The only place that knows both the clock and the world. The tick itself never waits: the network publishes and the recorder
-// writes on threads of their own, and what their queues cannot take is counted.
+// The only code with both the clock and the world. The tick never waits: the network publishes and the recorder writes on
+// threads of their own. Messages for which their queues have no room are dropped and counted.
 #include "service/serve.h"
 
 #include <unistd.h>
@@ -33,10 +33,10 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr size_t events_limit = 20'000;  // that a tick takes from the transport; further ones wait in its bounded queues
-constexpr uint32_t connect_ms = 10'000;  // until a router must have answered
-// A tick that starts later than this share of its period counts as late, and the schedule moves on with it: a server that
-// cannot keep up slows down, and never runs a burst of ticks to catch up.
+constexpr size_t events_limit = 20'000;  // most events per tick; the rest waits in the transport's bounded queues
+constexpr uint32_t connect_ms = 10'000;  // a router must answer within this time
+// A tick that starts later than this share of its period counts as late, and the schedule shifts by the delay: a server that
+// cannot keep up slows down and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;
 
 struct Server {
@@ -51,7 +51,7 @@ struct Server {
   BudgetEstimator budget{1e-3 * options.budget_ms};
   std::unique_ptr<Series> recording;
   Owner owner{1, random_id()};
-  bool replaced = false;  // by a server of a later epoch
+  bool replaced = false;  // by a server with a later epoch
   Inbox inbox;
   Outbox outbox;
   Work last_work;
@@ -91,8 +91,7 @@ void warm_up(Server& server) {
   server.budget.warm_up(std::chrono::duration<double>(Clock::now() - begun).count(), visits);
 }
 
-// A standby opens its file at once too: that it could not record should show before it is needed, and when it takes over no
-// disk may hold it up.
+// Opens the file, even for a standby: a bad path should fail at startup, and no disk may delay a takeover.
 void open_recording(Server& server) {
   const ServeOptions& options = server.options;
   if (options.record.empty()) return;
@@ -106,7 +105,7 @@ void open_recording(Server& server) {
   server.recording = std::make_unique<Series>(std::move(series), *server.world, server.admission.latest());
 }
 
-// Whether one of the endpoints can be reached from another machine.
+// Whether another machine can reach one of the endpoints.
 bool is_public(std::string_view endpoints) {
   while (!endpoints.empty()) {
     const std::string_view one = endpoints.substr(0, endpoints.find(','));
@@ -119,7 +118,7 @@ bool is_public(std::string_view endpoints) {
   return false;
 }
 
-// Beside routers as a client of them: they route between clients, and between peers only where those know one another.
+// At routers a server is a client: routers route between clients, but between peers only if these know each other.
 void open_network(Server& server) {
   const ServeOptions& options = server.options;
   const char* network = options.network.empty() ? nullptr : options.network.c_str();
@@ -134,20 +133,20 @@ void open_network(Server& server) {
   if (!options.metrics.empty()) need(metrics_open(options.metrics.c_str(), &server.metrics));
 }
 
-// A server that listens alone has no other beside it: it claims nothing, and watches no tokens.
+// A server that listens by itself is the only one in its scene: it claims nothing and watches no tokens.
 bool become_owner(Server& server, const std::atomic<bool>& stop) {
   const ServeOptions& options = server.options;
   return options.connect.empty() || claim_scene(server.net, options.scene, server.owner, stop);
 }
 
-// Waits for the end of the scene's owner and goes on with its world. Trouble with the recording must not end the one server
-// that holds it. False if `stop` came first.
+// Waits for the end of the scene's owner and goes on with its world. If the recording fails, the server goes on without it: it
+// is the only one that holds the world. Returns false if `stop` came first.
 bool take_over(Server& server, const std::atomic<bool>& stop) {
   const auto epoch = stand_by(server.net, {server.root, server.owner.id, server.threads}, *server.world, stop);
   if (!epoch) return false;
   server.owner.epoch = *epoch;
   renew(*server.world);
-  if (!server.budget.is_limited()) server.inbox.push_back(budget_message(0));  // not the limit of the owner before
+  if (!server.budget.is_limited()) server.inbox.push_back(budget_message(0));  // removes the limit of the previous owner
   try {
     if (server.recording) server.recording->begin(Clock::now());
   } catch (const std::exception& error) {
@@ -182,8 +181,8 @@ void open_scene(Server& server) {
 
 // ---- a tick ----
 
-// Takes what has come when the tick is due, and nothing before: until then the transport lets a host's newer message replace
-// its older one, so that a host that sends faster than the ticks costs no more than one that does not.
+// Takes the messages that have arrived when the tick is due, not earlier: until then the transport replaces a host's older
+// message by its newer one, so a host that sends faster than the ticks costs no more than any other.
 void collect(Server& server, Clock::time_point due) {
   std::this_thread::sleep_until(due);
   NetEvent events[256];
@@ -203,7 +202,7 @@ void collect(Server& server, Clock::time_point due) {
   std::move(admitted.begin(), admitted.end(), std::back_inserter(server.inbox));
 }
 
-// Viewers learn from its token that a car lives. Nothing is published any more of one that went.
+// A car's token tells viewers that it lives. Ends all publications for despawned cars.
 void announce_cars(Server& server, const TickResult& result) {
   for (const std::string& id : result.despawned) {
     const std::string key = server.root + "car/" + id;
@@ -231,11 +230,11 @@ void run_tick(Server& server) {
     for (const Message& message : server.inbox) server.recording->input(number, message, wall_ns());
   const auto begun = Clock::now();
   const TickResult result = tick(*server.world, server.inbox, server.outbox, server.threads);
-  const uint64_t time = wall_ns();  // of what it gives: a viewer's delay counts from here
+  const uint64_t time = wall_ns();  // time of the outputs; a viewer's delay counts from here
   server.budget.learn(std::chrono::duration<double>(Clock::now() - begun).count(), result.work);
   server.last_work = result.work;
   const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
-  uint64_t sum = replicated ? hash(*server.world) : 0;  // 0.3 ms where cars are a thousand
+  uint64_t sum = replicated ? hash(*server.world) : 0;  // takes 0.3 ms with a thousand cars
   if (replicated) publish(server, inputs_message(number, server.inbox, sum));
   announce_cars(server, result);
   for (const Message& message : server.outbox) publish(server, message);
@@ -299,7 +298,7 @@ int finish(Server& server) {
 }  // namespace
 
 int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
-  // A recording may meet a limit on file sizes, or be a pipe whose reader goes: like a full disk, that does not end the server.
+  // A recording may reach a limit on file sizes, or be a pipe whose reader ends. Like a full disk, neither ends the server.
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   if (options.standby && options.connect.empty())

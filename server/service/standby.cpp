@@ -23,23 +23,23 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr uint32_t inputs_depth = 4096;                 // ticks that may wait while the world is fetched: a minute
-constexpr size_t inputs_size_limit = size_t{64} << 20;  // bytes of one tick's: what a message may have
-constexpr size_t ticks_at_once = 256;                   // when they catch up, between two looks at the network
-constexpr std::chrono::seconds first_look{2};           // no owner is seen within this of the first link: so there is none
-constexpr std::chrono::seconds precedence{2};           // that each of those before this one has to take over
-constexpr ptrdiff_t turns_most = 3;                     // of those: tokens of strangers do not put it off for long
-constexpr std::chrono::milliseconds settling{200};      // until it is known whether the owner is gone or the own line is cut
-constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before the world is asked for once more
-constexpr uint64_t calm_ticks = 600;                            // after so many in step the pause is short again
-// Bytes of the ticks that wait, and of a world that is fetched: 1,000 damaged cars of 4,642 nodes have 1 GB.
+constexpr uint32_t inputs_depth = 4096;                 // ticks that may wait while the world is fetched: one minute
+constexpr size_t inputs_size_limit = size_t{64} << 20;  // bytes of one tick's inputs: the most that a message may have
+constexpr size_t ticks_at_once = 256;                   // ticks computed between two looks at the network while catching up
+constexpr std::chrono::seconds first_look{2};           // if no owner is seen this long after the link comes up, there is none
+constexpr std::chrono::seconds precedence{2};           // time that each standby before this one has to take over
+constexpr ptrdiff_t turns_most = 3;                     // most turns to wait: strangers' tokens must not delay it for long
+constexpr std::chrono::milliseconds settling{200};      // until it is clear whether the owner or the own link is gone
+constexpr std::chrono::seconds pause_least{1}, pause_most{60};  // before it asks for the world again
+constexpr uint64_t calm_ticks = 600;                            // after this many ticks in step the pause is short again
+// Bytes of the waiting ticks, and of the fetched world: 1,000 damaged cars of 4,642 nodes have 1 GB.
 constexpr size_t waiting_limit = size_t{256} << 20, world_limit = size_t{2} << 30;
-// Bytes: half of the 16 batches that zenoh queues on a line. A router with TLS sends and receives on one thread: it cannot send
-// while it waits for room in a queue, and cuts the line after a second in which nobody is heard.
+// Bytes: half of the 16 batches that zenoh queues per link. A router with TLS sends and receives on one thread: while it waits
+// for room in a queue it cannot send, and it closes a link after a second without messages.
 constexpr size_t world_piece = size_t{512} << 10;
-constexpr size_t servers_limit = 64;    // tokens of owners, and of those that stand by, in one scene
-constexpr uint32_t answer_ms = 30'000;  // for a piece: over 1.2 Mb/s
-// Of the owner.
+constexpr size_t servers_limit = 64;    // tokens of owners, and of standbys, in one scene
+constexpr uint32_t answer_ms = 30'000;  // for one piece: needs 1.2 Mb/s
+// For the owner:
 constexpr std::chrono::seconds snapshot_kept{60}, snapshot_pause{1};
 constexpr size_t snapshots_most = 4;
 
@@ -52,23 +52,23 @@ struct Standby {
   const StandbyOptions& options;
   World& world;
   std::set<Owner> owners = {};
-  std::set<std::string> tokens = {};                // of all that stand by, this one among them
-  std::string token = {};                           // rank 0 while it holds the owner's world, else 1: the lowest takes over
+  std::set<std::string> tokens = {};                // tokens of all standbys, including this one
+  std::string token = {};                           // rank 0 if it holds the owner's world, else 1; the lowest token takes over
   std::deque<std::vector<std::byte>> waiting = {};  // Inputs
-  size_t waiting_bytes = 0;                         // of them
-  bool same = false;                                // the world is the owner's, as of its tick
-  uint64_t epoch = 0;                               // the latest seen
-  bool linked = false;                              // and not only seen so far
-  Clock::time_point alone = Clock::now();           // since when no owner is seen
-  uint64_t asking = 0;                              // ticket; 0: none
+  size_t waiting_bytes = 0;                         // total size of `waiting`
+  bool same = false;                                // the world is the owner's, at the tick it has
+  uint64_t epoch = 0;                               // latest epoch seen
+  bool linked = false;                              // an owner was seen over the present link
+  Clock::time_point alone = Clock::now();           // since then no owner is seen
+  uint64_t asking = 0;                              // ticket of the question; 0: none
   uint64_t asker = 0;
   Clock::time_point ask_at{};
   Clock::duration pause = pause_least;
   std::vector<std::byte> pieces = {};
-  uint64_t followed = 0;  // ticks since the world came
+  uint64_t followed = 0;  // ticks computed since the world arrived
 };
 
-// In the token stands whether this one holds the world: one that does goes before one that does not.
+// The token says whether this server holds the world: servers with the world come before servers without it.
 void announce(Standby& standby) {
   const std::string token = standby_key(standby.same ? 0 : 1, standby.options.id);
   if (token == standby.token) return;
@@ -81,7 +81,7 @@ void announce(Standby& standby) {
 void ask_for_world(Standby& standby, uint64_t offset) {
   if (offset == 0) {
     standby.pieces.clear();
-    standby.waiting.clear();  // the snapshot knows of them
+    standby.waiting.clear();  // the snapshot contains them
     standby.waiting_bytes = 0;
     ++standby.asker;
   }
@@ -123,13 +123,13 @@ void take_world(Standby& standby, const NetEvent& event) {
   std::fflush(stdout);
 }
 
-// One that was not made yet is missing then: the world is asked for again.
+// If the standby has not computed this tick, it later finds it missing and asks for the world again.
 void forget_oldest(Standby& standby) {
   standby.waiting_bytes -= standby.waiting.front().size();
   standby.waiting.pop_front();
 }
 
-// Makes the ticks whose inputs are there. One that is missing, or that comes out otherwise, means to begin anew.
+// Computes the ticks whose inputs have arrived. If a tick is missing or its hash differs, asks for the whole world again.
 void follow(Standby& standby) {
   Outbox unheard;
   for (size_t k = 0; k < ticks_at_once && standby.same && !standby.waiting.empty(); ++k) {
@@ -161,7 +161,7 @@ void take_token(Standby& standby, const Key& key, bool alive) {
       standby.owners.erase(owner);
     } else if (standby.owners.size() < servers_limit && standby.owners.insert(owner).second) {
       standby.epoch = std::max(standby.epoch, owner.epoch);
-      standby.same = false;  // of an owner that is new nothing is known
+      standby.same = false;  // nothing is known of a new owner's world
     }
     if (standby.owners.empty()) standby.alone = Clock::now();
   } else if (key.channel == Channel::standby) {
@@ -176,7 +176,7 @@ void take_token(Standby& standby, const Key& key, bool alive) {
 void take(Standby& standby, const NetEvent& event) {
   if (event.kind == NET_REPLY && event.ticket == standby.asking) return take_world(standby, event);
   if (event.kind == NET_REPLY_END && event.ticket == standby.asking) {
-    standby.asking = 0;  // without an answer
+    standby.asking = 0;  // the question ended without an answer
     ask_later(standby);
   }
   const Key key = parse_key(event.key, standby.options.root).value_or(Key{});
@@ -196,7 +196,7 @@ bool takes_over(Standby& standby) {
     standby.linked = true;
     return false;
   }
-  // Where the own line is cut everybody seems gone: it is looked anew when there is one.
+  // While this server's link is down, everybody seems gone: start over when it is up.
   if (net_connected(standby.net) != 1) {
     standby.alone = Clock::now();
     standby.linked = false;
@@ -263,7 +263,7 @@ std::optional<uint64_t> stand_by(Net* net, const StandbyOptions& options, World&
       ask_for_world(standby, 0);
   }
   if (stop) return std::nullopt;
-  // In this order: of others that stand by the next one would take over as soon as this one does not.
+  // Announce first: as soon as this standby's token is gone, the next standby would take over.
   const uint64_t epoch = std::min(standby.epoch, epoch_limit - 1) + 1;
   need(net_announce(net, (options.root + owner_key(epoch, options.id)).c_str()));
   need(net_retract(net, (options.root + standby.token).c_str()));

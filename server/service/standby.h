@@ -1,8 +1,6 @@
-// A second server of a scene. It takes in what the owner takes in, makes the same ticks of it, and so holds the same world, bit
-// for bit; where the owner ends, it goes on. What travels are the inputs of each tick, and once the whole world to begin with.
-//
-// Who owns a scene stands in a token, owner/{epoch}-{id}: the epoch counts up with each takeover. A server that was only cut
-// off, and meets the token of a later epoch when it is back, knows that it was replaced.
+// A standby: a second server of a scene. It receives the owner's inputs and computes the same ticks, so it holds the same
+// world, bit for bit. When the owner ends, the standby goes on. It receives the inputs of each tick and, once at the start, the
+// whole world. owner.h describes how servers know the owner.
 #pragma once
 
 #include <atomic>
@@ -18,13 +16,14 @@
 
 namespace crumple {
 
-// ---- of the owner ----
+// ---- for the owner ----
 
-// What a question for the world says: where the piece begins, a number of the asker's own for all pieces of one snapshot, and
-// its program, since another one would not make the same ticks.
+// A question for the owner's world: the offset of the piece, a number chosen by the asker for all pieces of one snapshot, and
+// the asker's program, because another program would not compute the same ticks.
 std::vector<std::byte> world_question(uint64_t offset, uint64_t asker);
 
-// Answers them. Offset 0 takes a new snapshot, at most one a second, since it takes some of a tick's time: 1 MB a damaged car.
+// Answers such questions. Offset 0 takes a new snapshot, at most one a second, because writing 1 MB per
+// damaged car takes tick time.
 class WorldAnswers {
  public:
   void answer(Net*, const NetEvent&, const World&);
@@ -38,16 +37,16 @@ class WorldAnswers {
   std::chrono::steady_clock::time_point last_{};
 };
 
-// ---- of who stands by ----
+// ---- for a standby ----
 
 struct StandbyOptions {
   std::string root;  // "crumple/1/{scene}/"
   std::string id;
   int threads = 1;
 };
-// Until the owner is gone and this server is the one to take over: then the epoch with which it has announced itself as the
-// owner, and `world` is as the owner's was. Nothing if `stop` came first. Says on stdout what happens. Throws
-// std::runtime_error: the session is broken, or the owner's world cannot be held here.
+// Follows the owner until it is gone and this server is the one to take over. Then announces this server as the owner and
+// returns its epoch; `world` is the owner's, as far as it was received. Returns nothing if `stop` came first. Prints to stdout
+// what happens. Throws std::runtime_error if the session is broken or this server cannot hold the owner's world.
 std::optional<uint64_t> stand_by(Net*, const StandbyOptions&, World& world, const std::atomic<bool>& stop);
 
 }  // namespace crumple

@@ -1,5 +1,5 @@
-// What an operator sees of a server: health, which viewers and Prometheus read as well, one line on a terminal, and a sentence
-// where something is refused.
+// What an operator sees of a server: health (which viewers and Prometheus read too), one line on the terminal, and a sentence
+// when something is refused.
 #pragma once
 
 #include <cstdint>
@@ -11,11 +11,11 @@
 
 namespace crumple {
 
-// recording: null where nothing is recorded. late: ticks.
+// recording: null if nothing is recorded. late: late ticks.
 Message health_report(World&, uint64_t late, Net*, const Admission&, const Series* recording);
-// Overwrites the terminal's line; nothing if stdout is none.
+// Overwrites the line on the terminal; does nothing if stdout is not a terminal.
 void print_line(const World&, uint64_t late, const Work& last_tick, Net*);
-// What was refused since the last call goes to stderr as one sentence; health counts the rest.
+// Prints the last refusal since the previous call to stderr, and how many there were. told: the refusals printed before.
 void tell_refusals(const World&, uint64_t& told);
 
 }  // namespace crumple

@@ -8,13 +8,13 @@
 namespace crumple {
 namespace {
 
-constexpr double growth = 4;             // of the squared residual, beyond which a mixing has failed
+constexpr double growth = 4;             // of the squared residual: more than this, and the mix has failed
 constexpr double regularisation = 1e-6;  // relative; sums are in single precision
 
-constexpr uint32_t nodes_at_once = 1024;  // a piece of work; whole sums of the kernels
+constexpr uint32_t nodes_at_once = 1024;  // a piece of work; a multiple of what the kernels sum together
 using Products = std::array<double, anderson_depth>;
 
-// Of `first` with each of `others`.
+// Dot products of `first` with each of `others`.
 Products products(const std::vector<Float4>& first, std::span<const std::vector<Float4>> others, Team& team) {
   return team.sum<anderson_depth>(uint32_t(first.size()), nodes_at_once, [&](uint32_t begin, uint32_t end, double* sums) {
     const Float4* each[anderson_depth];
@@ -23,7 +23,7 @@ Products products(const std::vector<Float4>& first, std::span<const std::vector<
   });
 }
 
-// Coefficients of the combination of changes that cancels most of f.
+// The weights with which the changes of f cancel most of f.
 using Weighting = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, anderson_depth, 1>;
 Weighting combine(const AndersonHistory& history, const Products& right) {
   const int m = history.count;
@@ -57,7 +57,7 @@ void Anderson::compare(std::span<const Float4> before, std::span<Float4> node, T
   const size_t n = node.size();
   for (auto* list : {&residual_, &result_, &unmixed_}) list->resize(n);
   const int slot = history.next;
-  // Without a last step there is no change, and what the kernel writes of one goes where mix() writes before anybody reads.
+  // Without a previous step there is no change. The kernel then writes to unmixed_, which mix() overwrites before it is read.
   std::vector<Float4>& residual_change = compared_ ? history.residual[slot] : unmixed_;
   std::vector<Float4>& result_change = compared_ ? history.result[slot] : unmixed_;
   residual_change.resize(n);

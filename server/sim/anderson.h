@@ -1,12 +1,12 @@
-// Anderson's acceleration of a fixed-point iteration. A step of the solver (some sweeps) is a map x -> g(x), and the solution
-// is where its residual f = g - x is zero. From the changes of f and g over the last few steps it takes the combination that
-// would make the residual smallest, and goes on from there. The changes of earlier sub-steps serve as well as this one's, since
-// a crash changes slowly: they know the slow, long waves of the error that sweeps hardly move, and the plastic softening that
-// their secant moduli hide. Measured on three cars (50 km/h wall and pole, sub-steps of 1/960 s): 6 sweeps a sub-step leave
-// 0.03-0.8 % where without it 100 sweeps leave more. D. G. Anderson 1965; H. F. Walker, P. Ni 2011, doi 10.1137/10078356X; in
-// physics simulation: Y. Peng et al. 2018.
+// Anderson's acceleration of a fixed-point iteration. A solver step (some sweeps) is a map x -> g(x). At the solution the
+// residual f = g - x is zero. Anderson combines the changes of f and g over the last few steps so that the residual would be
+// smallest, and continues from there. Changes of earlier sub-steps help as much as this one's, because a crash changes slowly:
+// they contain the slow, long waves of the error that sweeps hardly move, and the plastic softening that secant moduli hide.
+// Measured on three cars (50 km/h wall and pole, sub-steps of 1/960 s): 6 sweeps a sub-step leave an error of 0.03-0.8 %;
+// without acceleration 100 sweeps leave more. D. G. Anderson 1965; H. F. Walker, P. Ni 2011, doi 10.1137/10078356X; in physics
+// simulation: Y. Peng et al. 2018.
 //
-// All lists of nodes are as the solver's are: as many Float4s as its padding asks for, a multiple of four (kernels.h).
+// All lists of nodes have the solver's padding: padded_nodes() Float4s, a multiple of four (blocks.h).
 #pragma once
 
 #include <array>
@@ -19,20 +19,20 @@
 
 namespace crumple {
 
-inline constexpr int anderson_depth = 6;  // changes that are kept: two lists of nodes each, per moving body
+inline constexpr int anderson_depth = 6;  // changes kept: two lists of nodes each, per moving body
 
-// What a body keeps from one sub-step to the next; forgotten when it settles.
+// What a body keeps from one sub-step to the next. Cleared when it settles.
 struct AndersonHistory {
-  int count = 0;                                                                 // of changes, at most anderson_depth
-  int next = 0;                                                                  // which of them is overwritten next
+  int count = 0;                                                                 // number of changes, at most anderson_depth
+  int next = 0;                                                                  // slot that is overwritten next
   std::array<std::vector<Float4>, anderson_depth> residual, result;              // changes of f and g, m
   std::array<std::array<double, anderson_depth>, anderson_depth> products = {};  // dot products of the changes of f, m^2
 };
 
-// Whether the solver can go on with it, for a body of this many nodes: damaged or foreign bytes may hold anything.
+// Whether the solver can continue with this history, for a body of this many nodes. Foreign bytes may hold anything.
 [[nodiscard]] bool is_sound(const AndersonHistory&, size_t nodes);
 
-// Calls visit(each field) for one that writes, reads or sums them up.
+// Calls visit on each field, to write, read or hash them.
 template <class History, class Visit>
 void each_field(History& history, const Visit& visit) {
   visit(history.count);
@@ -42,29 +42,29 @@ void each_field(History& history, const Visit& visit) {
   visit(history.products);
 }
 
-// The last step of the sub-step that is being solved. One a worker; its lists are reused.
+// The last step of the current sub-step. One per worker; its lists are reused.
 class Anderson {
  public:
-  // A sub-step begins: the history stays, but steps are not compared across it.
+  // Begins a sub-step: the history stays, but steps of two sub-steps are not compared.
   void begin();
 
-  // After a step that led from `before` to `node`: takes what it changed against the step before it into the history, and how
-  // far it went. If the acceleration before it made the residual more than twice as large, that is undone in `node` and all is
-  // forgotten: sweeps alone always descend.
+  // Call it after a step that led from `before` to `node`. Adds the change since the previous step to the history, and measures
+  // the residual. If the last mix() made the residual more than twice as large, this undoes it in `node` and clears the
+  // history: sweeps alone always descend.
   void compare(std::span<const Float4> before, std::span<Float4> node, Team&, AndersonHistory&);
 
-  // Moves `node` to where the next step shall start.
+  // Moves `node` to the start of the next step.
   void mix(std::span<Float4> node, Team&, const AndersonHistory&);
 
-  // Squared length of the last step, m^2. `compared`: there is a last step in this sub-step, and it was not undone.
+  // Squared length of the last step, m^2. `compared`: this sub-step has a last step, and it was not undone.
   double residual_size() const { return residual_size_; }
   bool compared() const { return compared_; }
 
  private:
   std::vector<Float4> residual_, result_;  // f and g of the last step
-  std::vector<Float4> unmixed_;            // nodes as the last sweeps left them, once they were mixed
+  std::vector<Float4> unmixed_;            // nodes after the last sweeps, before mix()
   double residual_size_ = 0;
-  bool compared_ = false, mixed_ = false;  // mixed: the next step starts where mix() put it
+  bool compared_ = false, mixed_ = false;  // mixed: mix() chose the start of the next step
 };
 
 }  // namespace crumple

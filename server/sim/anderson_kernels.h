@@ -1,4 +1,4 @@
-// The inner loops of anderson.h, on n Float4s, a multiple of four; compiled and chosen as those of kernels.h are.
+// The inner loops of anderson.h on n Float4s, n a multiple of four. Compiled and chosen like the kernels of kernels.h.
 #pragma once
 
 #include <cstddef>
@@ -8,8 +8,8 @@
 namespace crumple {
 
 struct AndersonKernels {
-  // Replaces residual by after - before and result by after. By how much they changed goes out, and the square of the new
-  // residual's length, m^2.
+  // Sets residual to after - before, and result to after. Writes how much both changed, and the squared length of the new
+  // residual, m^2.
   void (*compare)(const Float4* after, const Float4* before, size_t n, Float4* residual, Float4* result,
                   Float4* residual_change, Float4* result_change, double* size);
   // out[p] = a . b[p], p < count.

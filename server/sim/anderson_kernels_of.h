@@ -7,7 +7,8 @@
 namespace crumple {
 namespace {
 
-// Sums in 16 lanes of single precision, 256 nodes at a time, and these in double: the same for any N.
+// Sums of 256 nodes are in single precision, in 16 lanes for every N; these sums are added in double. So all N give the same
+// bits.
 constexpr size_t floats_together = 1024;
 
 template <int N>
@@ -22,7 +23,7 @@ struct Sum {
   }
 };
 
-// work(i, part) for all floats [begin, end), N at a time, 16 a round.
+// Calls work(i, part) on the floats [begin, end): N at a time, 16 per round.
 template <int N, class Work>
 CRUMPLE_INLINE void rounds(size_t begin, size_t end, const Work& work) {
   for (size_t i = begin; i < end; i += lanes) {

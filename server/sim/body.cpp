@@ -10,7 +10,7 @@
 namespace crumple {
 namespace {
 
-constexpr float farthest_node = 10;  // m from rest: no dent is as deep, and int16 quanta of 0.5 mm end at 16 m
+constexpr float farthest_node = 10;  // m from rest: no dent is as deep, and int16 displacements in units of 0.5 mm end at 16 m
 
 void take_towards(float amount, float rest, float& value) { value = value + amount * (rest - value); }
 void take_towards(float amount, const Vec3& rest, Vec3& value) { value = value + amount * (rest - value); }
@@ -18,7 +18,7 @@ void take_towards(float amount, const Gradients& rest, Gradients& value) {
   for (int k = 0; k < 3; ++k) take_towards(amount, rest.corner[k], value.corner[k]);
 }
 
-// A hash of all fields: lists as they come, single numbers together at the end.
+// Hashes all fields: lists at once, single numbers together at the end.
 class BodyHash {
  public:
   BodyHash() { numbers_.reserve(32); }
@@ -37,7 +37,7 @@ class BodyHash {
         (*this)(each);
       } else if constexpr (std::is_trivially_copyable_v<Field>) {
         chain(&each, sizeof each);
-      }  // lists are known by what they come to
+      }  // no need to hash the history's lists: their dot products follow from them
     });
   }
   uint64_t value() {
@@ -82,7 +82,7 @@ void repair(const Model& model, float amount, DeformableState& body) {
       }
     }
   });
-  // The solver's memory of the motion that made the damage.
+  // Forget the motion that made the damage.
   for (Vec3& step : body.step) step.setZero();
   body.history = {};
   measure_reach(model, body);

@@ -1,4 +1,4 @@
-// What one car keeps between ticks, and nothing else: its hash decides whether two runs are the same.
+// The state that a car's body keeps between ticks, and nothing else: two runs are equal if the hashes of this state are.
 #pragma once
 
 #include <optional>
@@ -17,50 +17,49 @@ namespace crumple {
 struct DeformableState {
   std::vector<Vec3> node;            // positions, car's frame, m
   std::vector<Vec3> step;            // displacement of the last sub-step, m: the predictor's history
-  float step_seconds = 0;            // that it took; 0: none was made yet
+  float step_seconds = 0;            // duration of that sub-step; 0: none was made yet
   std::vector<Gradients> gradients;  // per tet: rest gradients after plastic flow, 1/m
   std::vector<float> hardening;      // per tet: accumulated plastic strain
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
   std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
-  AndersonHistory history;           // of the solver's last steps; empty when settled
-  double absorbed = 0;               // J since spawn: plastic work, drag, friction
-  double stored = 0;                 // J: elastic, now
-  double owed = 0;                   // J of it that the motion did not give: the body may not return them
-  // Of the nodes (measure_reach): the farthest from the centre of mass, and the box around them in the car's frame; m.
+  AndersonHistory history;           // the solver's last steps; empty when settled
+  double absorbed = 0;               // energy absorbed since spawn by plastic work, drag and friction, J
+  double stored = 0;                 // elastic energy now, J
+  double owed = 0;                   // part of `stored` that the motion did not give, J: the body may not return it
+  // Set by measure_reach(): the nodes' farthest distance from the centre of mass, and their bounding box in the car's frame, m.
   float reach = 0;
   Vec3 low = Vec3::Zero(), high = Vec3::Zero();
-  // Of the contacts on the car at the end of the last sub-step, N and N m about the centre of mass, world axes.
+  // Total contact force (N) and moment about the centre of mass (N m) at the end of the last sub-step, world axes.
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
   bool touching = false;  // some node was held by an obstacle in the last sub-step
-  float drift = 0;        // way of the obstacles along a settled body since it settled, m
-  bool lost = false;      // its shape is one that no crash makes: it springs back before anything flows
-  bool settled = true;    // nothing moved in the last sub-step: costs nothing until touched
+  float drift = 0;        // how far obstacles slid along the settled body since it settled, m
+  bool lost = false;      // no crash makes this shape: the body springs back before anything flows
+  bool settled = true;    // no node moved in the last sub-step: the body costs nothing until touched
 };
 
-// ---- the list of its fields
-// ------------------------------------------------------------------------------------------------------
+// ---- the list of its fields ----
 
-// What a list has one value per.
+// A list field has one value per node, tet or edge.
 enum class Per : uint8_t { node, tet, edge };
 inline size_t count_of(const Model& model, Per per) {
   return per == Per::node ? model.node.size() : per == Per::tet ? model.tet.size() : model.edge.size();
 }
 
-// How a field is treated besides being copied.
+// How the functions below treat a field, besides copying it.
 struct FieldTraits {
-  bool saved = false;         // it is part of the protocol's State
-  bool transferred = false;   // it goes to another level of the car as it is
-  bool repaired = false;      // a partial repair takes it towards its value in an undamaged car
-  bool not_negative = false;  // else any finite number
+  bool saved = false;         // State of the protocol has it
+  bool transferred = false;   // transfer() copies it unchanged to another level
+  bool repaired = false;      // a partial repair moves it towards its value in an undamaged car
+  bool not_negative = false;  // true: refuse numbers below 0; false: any finite number is good
 };
 
 template <class T>
 struct ListField {
-  const char* name;  // as State has it, where it is saved
+  const char* name;  // its name in State, if saved
   std::vector<T> DeformableState::*value;
   Per per;
-  std::span<const T> Model::*rest;  // of an undamaged car; null: zeros
+  std::span<const T> Model::*rest;  // its values in an undamaged car; null: zeros
   FieldTraits traits;
 };
 template <class Field>
@@ -75,10 +74,9 @@ struct SingleField {
   FieldTraits traits;
 };
 
-// Every field, once, but what measure_reach() makes of them. In this order the hash takes them in and a snapshot has them.
-// Whoever treats a body field by field calls this with a function for ListField and SingleField: make_body, repair,
-// refuse_state, hash (body.cpp), restore (recovery.cpp), transfer (transfer.cpp), snapshots (tick/fields.h), State
-// (wire/state_fields.h).
+// Lists every field once, except those that measure_reach() computes. Hash and snapshot use this order. All code that treats a
+// body field by field calls this with a visitor for ListField and SingleField: make_body, repair, refuse_state, hash
+// (body.cpp), restore (recovery.cpp), transfer (transfer.cpp), snapshots (tick/fields.h), State (wire/state_fields.h).
 template <class Visit>
 constexpr void for_each_field(const Visit& visit) {
   using enum Per;
@@ -107,7 +105,7 @@ constexpr void for_each_field(const Visit& visit) {
   visit(SingleField<Eigen::Vector3d>{"moment", &DeformableState::moment, {}});
 }
 
-// The value at place i of a list in an undamaged car.
+// The value of list entry i in an undamaged car.
 template <class T>
 T rest_of(const Model& model, const ListField<T>& field, size_t i) {
   if (field.rest) return (model.*field.rest)[i];
@@ -115,8 +113,7 @@ T rest_of(const Model& model, const ListField<T>& field, size_t i) {
   return T{};
 }
 
-// ---- what is done with it
-// --------------------------------------------------------------------------------------------------------
+// ---- what can be done with a body ----
 
 // An undamaged car.
 DeformableState make_body(const Model&);
@@ -124,14 +121,14 @@ DeformableState make_body(const Model&);
 // Takes `amount` of the damage away: 1 gives the undamaged car, bit for bit.
 void repair(const Model&, float amount, DeformableState&);
 
-// After nodes moved.
+// Recomputes reach, low and high. Call it after nodes moved.
 void measure_reach(const Model&, DeformableState&);
 
-// Why these fields cannot be a body of this car: a list of another size, a number that is not finite or must not be negative.
-// saved: of those that State has only.
+// Says why these fields cannot be a body of this car: a list has the wrong size, or a number is not finite or is negative where
+// it must not be. saved: check only the fields that State has.
 [[nodiscard]] std::optional<std::string> refuse_fields(const Model&, const DeformableState&, bool saved);
 
-// Why what State has cannot be the state of this car: as above, or nodes farther than 10 m from rest.
+// Says why the fields of a State cannot be this car's: the reasons above, or a node is farther than 10 m from rest.
 [[nodiscard]] std::optional<std::string> refuse_state(const Model&, const DeformableState&);
 
 // XXH64 over everything in the body.

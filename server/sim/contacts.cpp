@@ -12,17 +12,17 @@ Relative relative(const Pose& car, const Pose& obstacle) {
 
 namespace {
 
-// In encounter(): the way between two looks, m, less than half a car is long, and how many looks at most.
+// In encounter(): distance between two tests, m (less than half a car's length), and the most tests.
 constexpr float look_travel = 1, most_looks = 32;
 
-// A car and an obstacle that may meet: seen from the obstacle at the start, the farthest that a point of the car moves against
-// it, and the distance below which a node is a candidate.
+// A car and an obstacle that may meet: the transform at the start of the tick, how far any point of the car moves relative to
+// the obstacle, and the distance below which a node is a candidate.
 struct Approach {
   Relative start;
   float travel, near;
 };
 
-// Whether the body's box is farther than `near` from the obstacle, beyond a plane that has all of it below.
+// Whether the body's box is farther than `near` from the obstacle: one of the obstacle's planes has the whole box outside.
 bool beyond(const Obstacle& obstacle, const Relative& start, const DeformableState& body, float near) {
   const Vec3 half = 0.5f * (body.high - body.low);
   const Vec3 centre = start.rotation * (body.low + half) + start.translation;
@@ -34,14 +34,14 @@ bool beyond(const Obstacle& obstacle, const Relative& start, const DeformableSta
   return std::any_of(obstacle.faces.begin(), obstacle.faces.end(), beyond_plane);
 }
 
-// No point of the car moves farther against the obstacle than `travel`, rotation included. Twice: nodes move in the car's frame
-// too, as far as the obstacle drives them.
+// `travel` is the farthest that a point of the rigid car moves relative to the obstacle, rotation included. It counts twice,
+// because an obstacle may also drive nodes as far in the car's frame.
 template <class Metres>
 Metres candidate_distance(Metres travel) {
   return 2 * travel + Metres(contact_margin);
 }
 
-// What most obstacles are passed over by: they are far away. The same for all of them, of one car.
+// Cheap bounding-sphere test that rejects far obstacles; computed once per car.
 class Reach {
  public:
   Reach(const StepInput& input, const DeformableState& body, const Motion& motion)
@@ -52,9 +52,9 @@ class Reach {
                  (3 * double(body.reach) + (input.mass.center - input.model.center_of_mass.cast<double>()).norm())),
         own_(double(body.reach) + 1e-3),
         seconds_(input.seconds) {}
-  // travel: m, at least as far as this.
+  // travel: least travel to assume, m.
   bool excludes(const Obstacle& obstacle, double travel = 0) const {
-    if (!obstacle.angular_velocity.isZero(0)) return false;  // seen from it the car moves, the faster the farther away
+    if (!obstacle.angular_velocity.isZero(0)) return false;  // relative to it, the car moves the faster the farther away it is
     const double speed = obstacle.velocity.isZero(0) ? speed_ : (velocity_ - obstacle.velocity).norm();
     const double far = own_ + double(obstacle.reach) + candidate_distance(std::max(travel, (speed + turning_) * seconds_));
     return (centre_ - obstacle.pose.position).squaredNorm() > far * far;

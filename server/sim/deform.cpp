@@ -18,8 +18,7 @@ struct RoomTimer {
   }
 };
 
-// Moves the car's frame and finds what the car then meets. Returns whether the shape is to be solved: not that of a body that
-// stays at rest.
+// Moves the car's frame and finds the contacts. Returns false if the body stays at rest, so that its shape need not be solved.
 bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& scratch, StepState& state, Timer* timer) {
   auto& [body, motion, result, spring] = state;
   const RoomTimer room(timer, Room::contacts);
@@ -30,7 +29,7 @@ bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& s
   return !body.settled || is_woken(now.seconds, scratch.contacts.contact, body, body.drift);
 }
 
-// One sub-step. Returns the seconds that were solved.
+// One sub-step. Returns the seconds solved.
 float step(const StepInput& input, const Substep& now, Scratch& scratch, StepState& state, Timer* timer) {
   auto& [body, motion, result, spring] = state;
   auto& [contacts, solver, start, backup] = scratch;
@@ -84,7 +83,7 @@ void tick_nodal(const StepInput& input, Scratch& scratch, StepState& state, Time
 void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Timer* timer) {
   auto& [body, motion, result, spring] = state;
   const std::vector<Contact>& contacts = scratch.contacts.contact;
-  body.force.setZero();  // `classic` knows no forces
+  body.force.setZero();  // `classic` has no forces
   body.moment.setZero();
   const Substep whole{0, input.seconds, float(input.seconds)};
   if (!meet(input, whole, advance(motion, input.mass, input.seconds), scratch, state, timer)) return;
@@ -147,7 +146,7 @@ StepResult deform(const StepInput& input, Scratch& scratch, DeformableState& bod
   if (body.settled) body.history = {}, body.lost = false;
   if (result.substeps > 0 && body.settled && !body.touching && revert_inverted(input.model, body)) {
     body.settled = false;
-    body.lost = true;  // or what was taken back flows again at once
+    body.lost = true;  // else the reverted tets would flow again at once
   }
   return result;
 }

@@ -1,7 +1,7 @@
-// One car, one tick: the table of contents of the simulation. In order: obstacles in the car's frame (contacts.h), how many
-// sub-steps (substeps.h), and in each of them whether the body is at rest (rest.h), the shape (nodal.h, or classic.h), plastic
-// flow (flow.h), what the car's motion loses (energy_balance.h); at the end what went wrong (recovery.h). A function of its
-// arguments alone: no clock, no thread count, no memory of other cars.
+// One tick of one car: the table of contents of the simulation. In order: candidates for contact (contacts.h), the number of
+// sub-steps (substeps.h), then in each sub-step: is the body at rest (rest.h), its new shape (nodal.h, or classic.h), plastic
+// flow (flow.h), and the change of the car's motion (energy_balance.h); at the end recovery from failures (recovery.h). The
+// result depends on the arguments alone: not on a clock, the number of threads, or other cars.
 #pragma once
 
 #include <memory>
@@ -11,7 +11,7 @@
 
 namespace crumple {
 
-// Seconds spent in each room, for health; measured by the caller's clock, so that this room knows none.
+// Measures the seconds spent in each part of the tick, for health. The caller supplies the clock, so the tick reads none.
 enum class Room : uint8_t { contacts, solve, flow };
 struct Timer {
   virtual ~Timer() = default;
@@ -19,7 +19,7 @@ struct Timer {
   virtual void leave() = 0;
 };
 
-// Memory of one tick (scratch.h); one a thread, reused.
+// Memory of one tick (scratch.h); one per thread, reused.
 struct Scratch;
 struct ScratchDeleter {
   void operator()(Scratch*) const;
@@ -30,7 +30,7 @@ ScratchHandle make_scratch();
 // Advances body and motion by input.seconds.
 StepResult deform(const StepInput&, Scratch&, DeformableState&, Motion&, Timer* = nullptr);
 
-// Whether deform() will solve the settled body.
+// Whether deform() would wake and solve this settled body.
 bool wakes(const StepInput&, Scratch&, const DeformableState&, Motion);
 
 }  // namespace crumple

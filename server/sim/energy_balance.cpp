@@ -6,14 +6,14 @@
 namespace crumple {
 namespace {
 
-constexpr double least_share = 0.5, most_share = 2;  // of the impulse that the forces say
+constexpr double least_share = 0.5, most_share = 2;  // of the mean impulse
 
 struct Impulse {
   Eigen::Vector3d linear;   // N s, world axes
   Eigen::Vector3d angular;  // N m s, world axes, about the centre of mass
 };
 
-// Of the obstacles where they press on the car, weighted by their forces; m/s, world.
+// Force-weighted mean velocity of the obstacles at their contact points (m/s, world).
 Eigen::Vector3d pressing_velocity(const StepInput& input, const Substep& now, const ContactSet& contacts,
                                   std::span<const ContactForce> held, const StepState& state) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
@@ -32,10 +32,10 @@ Eigen::Vector3d pressing_velocity(const StepInput& input, const Substep& now, co
   return forces > 0 ? Eigen::Vector3d(sum / forces) : sum;
 }
 
-// The share of the impulse that balances the energy. Energies are kinetic ones as seen from the obstacles, J; pressing: their
-// velocity. Takes from state.spring what the motion gains, and that is never more than it: a body far too stiff or too viscous
-// for the sub-step would be thrown about by the explicit step of its motion, and obstacles that leave it no room press with
-// forces that no longer tell where it should go.
+// The share of the impulse that balances the energy. Energies are kinetic, seen from the obstacles, J. pressing: velocity of
+// the obstacles. The motion never gains more than state.spring, and its gain is subtracted from there. Without that limit the
+// explicit step of the motion would throw about a body far too stiff or too viscous for the sub-step, and so would obstacles
+// that leave the body no room: their forces no longer say where it should go.
 double balancing_share(const Mass& mass, const Impulse& impulse, const Eigen::Vector3d& pressing, StepState& state) {
   if (!std::isfinite(mass.mass)) return 1;
   Motion relative = state.motion, still;
@@ -44,10 +44,10 @@ double balancing_share(const Mass& mass, const Impulse& impulse, const Eigen::Ve
   const double before = kinetic_energy(relative, mass);
   push(impulse.linear, impulse.angular, mass, relative);
   push(impulse.linear, impulse.angular, mass, still);
-  // A share s of it adds linear s + square s^2.
+  // A share s of the impulse changes the energy by linear s + square s^2.
   const double square = kinetic_energy(still, mass), linear = kinetic_energy(relative, mass) - before - square;
   if (!(square > 0)) return 1;
-  const auto gains = [&](double gain, int sign) {  // the shares that add this much, or come nearest to it
+  const auto gains = [&](double gain, int sign) {  // shares that add this energy, or come nearest to it
     return (sign * std::sqrt(std::max(0.0, linear * linear + 4 * square * gain)) - linear) / (2 * square);
   };
   double share = 1;
@@ -82,7 +82,7 @@ void react(const StepInput& input, const Substep& now, double h, const ContactSe
     result.deepest = std::max(result.deepest, -contact.after);
     ++touching;
   }
-  // The mean of the forces at both ends of the sub-step, or the share of it that balances the energy.
+  // Mean of the forces at both ends of the sub-step; then scaled to balance the energy.
   const Eigen::Quaterniond& axes = motion.pose.orientation;
   Impulse impulse{0.5 * h * (body.force + axes * force), 0.5 * h * (body.moment + axes * moment)};
   const double share = balancing_share(input.mass, impulse, pressing_velocity(input, now, contacts, held, state), state);

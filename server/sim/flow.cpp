@@ -7,8 +7,8 @@
 namespace crumple {
 namespace {
 
-// log and exp of our own: the C library picks a variant by processor, and these must give the same bits everywhere.
-// Errors below 1e-12 for arguments of a strain's size.
+// Our own log and exp, because the C library chooses a variant by processor, and results must have the same bits everywhere.
+// Errors are below 1e-12 for arguments as small as strains.
 double log_of(double x) {
   int exponent;
   double m = std::frexp(x, &exponent);
@@ -33,7 +33,7 @@ double exp_of(double x) {
   return std::ldexp(sum, int(k));
 }
 
-// Never below a strain of 1e-5: without any yield stress a tet would be a fluid.
+// The yield stress is at least that of a strain of 1e-5: without any yield stress a tet would be a fluid.
 float yield_of(const YieldLaw& law, float kappa) {
   return std::max(law.start + law.slope * kappa, 1e-5f * std::max(law.shear, law.bulk));
 }
@@ -60,8 +60,8 @@ float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float 
   const float room = law.limit - kappa;
   if (!(norm > yield) || !(room > 0)) return 0;
   const float stiffest = std::max(law.shear, law.bulk);
-  // Were both moduli the stiffer one, norm / (1 + k D) (1 - slope D) = yield is linear in D. That D is left of the root of the
-  // convex falling function below, from where Newton climbs to it.
+  // If both moduli were the stiffer one, norm / (1 + k D) (1 - slope D) = yield would be linear in D. Its solution is left of
+  // the root of the convex falling function below, so Newton climbs from there to the root.
   float d = (norm - yield) / (stiffest * yield + law.slope * norm);
   if (law.shear != law.bulk) {
     for (int i = 0; i < 5; ++i) {
@@ -75,7 +75,7 @@ float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float 
       d -= value / derivative;
     }
   }
-  // kappa grows by D times the flowed stress; no farther than its limit.
+  // kappa grows by D times the flowed stress, up to its limit.
   const float flowed = norm / (1 + stiffest * d);
   if (d * flowed > room) d = norm > stiffest * room ? room / (norm - stiffest * room) : d;
   return d;
@@ -107,10 +107,10 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
   const Eigen::Matrix3d right = (f.transpose() * f).cast<double>();
   axes.compute(right);
   const Eigen::Vector3d trial = axes.eigenvalues().cwiseMax(1e-6).unaryExpr([](double x) { return 0.5 * log_of(x); });
-  // Backward Euler for the logarithmic law is known in closed form up to one number: deviator s, mean 1 / (1 + (bulk / shear)
-  // (1/s - 1)) of the trial's. At the large strain of a trial the neo-Hookean stress differs from that law's, so s is where the
-  // former meets the yield surface, or where kappa meets its limit: by false position (Illinois), as the excess only falls with
-  // s.
+  // For the logarithmic law backward Euler has a closed form up to one number s: the deviator is s and the mean is
+  // 1 / (1 + (bulk / shear) (1/s - 1)) of the trial's. At the large strain of a trial the neo-Hookean stress differs from that
+  // law's. So s is where the neo-Hookean stress meets the yield surface, or where kappa meets its limit. It is found by false
+  // position (Illinois); the excess grows with s.
   const double mean = trial.mean(), room = std::max(0.0, double(law.limit) - kappa);
   const Eigen::Vector3d deviator = trial.array() - mean;
   Eigen::Vector3d strain = trial;
@@ -139,10 +139,10 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
     }
     if (std::fabs(value) < 1e-6) break;
   }
-  // The integral of Y d(kappa).
+  // Integral of Y d(kappa).
   const double work = 0.5 * (norm + law.start + law.slope * kappa) * grown;
   kappa = std::min(law.limit, kappa + float(grown));
-  // Fe_new = Fe V diag(exp(strain - trial)) V^T, and the same factor moves into the rest gradients.
+  // Fe_new = Fe V diag(exp(strain - trial)) V^T. The same factor is applied to the rest gradients.
   const Eigen::Vector3d ratio = (strain - trial).unaryExpr([](double x) { return exp_of(x); });
   const Mat3 factor = (axes.eigenvectors() * ratio.asDiagonal() * axes.eigenvectors().transpose()).cast<float>();
   for (Vec3& corner : gradients.corner) corner = factor * corner;

@@ -1,6 +1,6 @@
-// Plasticity of a crushable foam (Deshpande and Fleck 2000) with plastic Poisson ratio 0: its yield surface is then the
-// Frobenius norm of the stress, |tau| = Y, with tau the Kirchhoff stress of the stable neo-Hookean energy. A car body is
-// mostly air: it compacts under pressure, where an incompressible solid (J2) would bulge.
+// Plasticity of a crushable foam (Deshpande and Fleck 2000) with plastic Poisson ratio 0. Its yield surface is then the
+// Frobenius norm of the stress, |tau| = Y, with tau the Kirchhoff stress of the stable neo-Hookean energy. A car body is mostly
+// air: it compacts under pressure, where an incompressible solid (J2) would bulge.
 //   flow rule   d(strain) = d(kappa) tau / |tau|      (associated; strain logarithmic)
 //   hardening   Y = E (yield_strain + hardening kappa),      kappa = accumulated plastic strain <= plastic_limit
 #pragma once
@@ -9,8 +9,8 @@
 
 namespace crumple {
 
-// A material's constants as the solver uses them, Pa. Energy density mu/2 |F|^2 + l/2 (J - gamma)^2, with l = lambda + mu and
-// gamma = 1 + mu/l (stable neo-Hookean; Smith, de Goes, Kim 2018, without the logarithmic barrier).
+// A material's elastic constants as the solver uses them, Pa. Energy density mu/2 |F|^2 + l/2 (J - gamma)^2, with
+// l = lambda + mu and gamma = 1 + mu/l (stable neo-Hookean; Smith, de Goes, Kim 2018, without the logarithmic barrier).
 struct Elastic {
   float mu, l, gamma;
 };
@@ -21,7 +21,7 @@ struct YieldLaw {
   float bulk;   // 3 K = 3 lambda + 2 mu, Pa
   float start;  // yield stress at kappa = 0, Pa
   float slope;  // Pa per kappa
-  float limit;  // of kappa
+  float limit;  // largest kappa
 };
 YieldLaw yield_law(const Material&);
 
@@ -34,23 +34,23 @@ inline Mat3 deformation(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3&
   return f;
 }
 
-// From here to `flow`: one tet at a time, plain and in part in double. The kernels (kernels.h) do the same for 16; these are
-// what they are compared with.
+// The functions from here to `flow` treat one tet, in plain code and partly in double. The kernels (kernels.h) do the same for
+// 16 tets; tests compare the two.
 
-// The plastic multiplier per stress, 1/Pa: the flowed stress is deviator / (1 + shear D) + mean / (1 + bulk D). 0: elastic.
-// deviator: its norm, Pa; mean: sqrt(3) |p|, Pa.
+// The plastic multiplier D per stress, 1/Pa. The flowed stress is deviator / (1 + shear D) + mean / (1 + bulk D). 0: elastic.
+// deviator: norm of the deviatoric stress, Pa; mean: sqrt(3) |p|, Pa.
 float plastic_multiplier(const YieldLaw&, float deviator, float mean, float kappa);
 
-// Moduli that give at this F the stress that flow from the last state would leave: the tet as the sweeps see it.
-// Minimising with these and renewing them is the iteratively reweighted form of the incremental plastic problem: each sweep
-// lowers its potential, so flow takes part in the solution instead of following it.
+// Secant moduli: at this F they give the stress that remains after flow from the last state. The sweeps see the tet with them.
+// Minimising with secant moduli and updating them in turn is the iteratively reweighted form of the incremental plastic
+// problem. Each sweep lowers its potential, so the solution contains the flow instead of preceding it.
 Elastic secant(const Elastic&, const YieldLaw&, const Mat3& f, float kappa);
 
-// Flows one tet for good: its gradients and kappa. Returns the plastic work per volume, J/m^3; 0 if it stayed elastic.
-// Tets that are inverted or nearly so (J <= 0.02) do not flow: their strain is no strain.
+// Flows one tet for good: changes its gradients and kappa. Returns the plastic work per volume, J/m^3; 0 if it stayed elastic.
+// Inverted or nearly inverted tets (J <= 0.02) do not flow, because their logarithmic strain is meaningless.
 float flow(const Elastic&, const YieldLaw&, const Mat3& f, Gradients& gradients, float& kappa);
 
-// Energy density above that at rest, J/m^3.
+// Energy density relative to rest, J/m^3.
 float energy_density(const Elastic&, const Mat3& f);
 
 }  // namespace crumple

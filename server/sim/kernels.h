@@ -1,6 +1,7 @@
-// The inner loops of `nodal`, on plain arrays: 16 nodes or 16 tets at once. Compiled for several instruction sets and chosen
-// once by what the processor has; all give the same bits. Legend: V rest volume, D determinant of a tet's gradients (1 / D: six
-// times its volume without load), N area vector of the face opposite a node (twice its area), kappa accumulated plastic strain.
+// The inner loops of `nodal` on plain arrays, 16 nodes or 16 tets at once. They are compiled for several instruction sets; the
+// processor decides once which one runs; all give the same bits. Symbols: V rest volume, D determinant of a tet's gradients
+// (1 / D: six times its volume without load), N area vector of the face opposite a node (twice its area), kappa accumulated
+// plastic strain.
 #pragma once
 
 #include "sim/anderson_kernels.h"
@@ -14,19 +15,19 @@ struct Law {
   float mu, l, gamma;         // elastic
   float shear, bulk;          // 2 mu, 3 K
   float start, slope, limit;  // yield stress, its slope over kappa, limit of kappa
-  float room;                 // that limit now: 0 while flow is suspended
+  float room;                 // limit of kappa now: 0 while flow is suspended
 
   friend bool operator==(const Law&, const Law&) = default;
 };
 
-// What tets keep while a tick lasts, 16 at once.
+// Per-tick data of 16 tets.
 struct TetLanes {
   float gradient[9][lanes];  // rows: corners 1..3; 1/m
-  float volume[lanes];       // at rest, m^3
+  float volume[lanes];       // rest volume, m^3
   float kappa[lanes];
 };
 
-// Three numbers of a row's lanes: dot products of the node's gradient with those of the other corners, 1/m^2.
+// Per lane of a row: dot products of the node's gradient with the gradients of the three other corners, 1/m^2.
 struct Weights {
   float other[3][lanes];
 };
@@ -38,20 +39,20 @@ struct NodeView {
   const Float4* before;     // n + 1 positions at the start of the sub-step; w: drag, N/m
   const Float4* rest;       // n + 1 positions; w: anchor spring, N/m
   const Float4* stiffness;  // t + 1
-  const uint32_t* index;    // of Blocks: node
-  const uint32_t* row;      // of Blocks
-  const uint8_t* anchored;  // of Blocks
-  const Row* rows;          // of Blocks
+  const uint32_t* index;    // Blocks::node
+  const uint32_t* row;      // Blocks::row
+  const uint8_t* anchored;  // Blocks::anchored
+  const Row* rows;          // Blocks::rows
   const Weights* weights;   // per row
-  const uint16_t* still;    // per block: lanes that do not move freely
-  const uint16_t* touched;  // per block: lanes that an obstacle may hold: `resolve` moves them
-  // Blocks asleep are passed by. One whose node is farther than `quiet` (m) from where it was before wakes those around it.
+  const uint16_t* still;    // per block: lanes that the sweep must not move
+  const uint16_t* touched;  // per block: lanes that an obstacle may hold; `resolve` moves them
+  // Sleeping blocks are skipped. A block with a node that moved more than `quiet` (m) from `before` wakes the blocks around it.
   uint8_t* awake;                                         // per block
   uint8_t* stirred;                                       // per group of tets: one of its blocks is awake
-  const uint32_t *near_first, *near, *over_first, *over;  // of Blocks
+  const uint32_t *near_first, *near, *over_first, *over;  // Blocks::near_first ...
   float quiet;
   float relaxation;
-  bool measure;  // nothing moves; `resolve` is called as ever
+  bool measure;  // move nothing, but call `resolve` as usual
   // gradient N; hessian N/m: xx yy zz xy xz yz
   void (*resolve)(void* context, uint32_t node, const float gradient[3], const float hessian[6]);
   void* context;
@@ -63,29 +64,29 @@ struct TetView {
   const TetLanes* tet;
   const uint8_t* region;   // t, padded to whole groups
   const Law* law;          // per region
-  const uint8_t* stirred;  // per group; the others are passed by
+  const uint8_t* stirred;  // per group; groups that are not stirred are skipped
 };
 
 struct Kernels {
   const char* name;
-  // Minimises node by node, blocks [first, last).
+  // Minimises the energy node by node, blocks [first, last).
   void (*relax_nodes)(const NodeView&, uint32_t first, uint32_t last);
-  // Secant moduli of the groups [first, last), as flow.h has them. flowing: per group, lanes whose tet is beyond yield; where
-  // none was before and none is now the moduli are left as they stand. Returns how many tets have lost their shape: inverted,
-  // nearly flat, or stretched beyond what any crash does.
+  // Secant moduli (flow.h) of the groups [first, last). flowing: per group, lanes whose tet is beyond yield. If none was
+  // before and none is now, the moduli stay unchanged. Returns how many tets have lost their shape: they are inverted, nearly
+  // flat, or stretched more than in any crash.
   uint32_t (*update_secant_moduli)(const TetView&, uint32_t first, uint32_t last, Float4* stiffness, uint16_t* flowing);
-  // Adds the derivative of the elastic energy along `direction`, sum derivative[k] a^k, of the groups [first, last).
+  // Adds the derivative of the elastic energy along `direction`, sum derivative[k] a^k, over the groups [first, last).
   void (*line_derivative)(const TetView&, uint32_t first, uint32_t last, const Float4* stiffness, const Float4* direction,
                           double derivative[6]);
-  // Plastic flow (flow.h) of the lanes `flowing`, as far as they are beyond yield and not inverted. Changes gradients and
-  // kappa; returns the plastic work, J.
+  // Plastic flow (flow.h) of the lanes in `flowing` that are beyond yield and not inverted. Changes gradients and kappa;
+  // returns the plastic work, J.
   double (*flow)(const TetView&, TetLanes*, uint32_t first, uint32_t last, const uint16_t* flowing);
   // Elastic energy of the groups [first, last) at their full moduli, J.
   double (*energy)(const TetView&, uint32_t first, uint32_t last);
   AndersonKernels anderson;
 };
 
-// The widest that this processor has; or by name (portable, avx2, avx512), nullptr if it lacks it: for tests.
+// The widest instruction set that this processor has. By name (portable, avx2, avx512), for tests: nullptr if it lacks it.
 const Kernels& kernels();
 const Kernels* kernels(const char* name);
 

@@ -1,5 +1,5 @@
-// The loops behind kernels.h for N lanes at a time. Included by one source per instruction set, which must share no inline
-// function with the rest of the program: a copy compiled for a newer processor could be the one that the linker keeps.
+// The loops behind kernels.h for N lanes at a time. One source per instruction set includes this file. It must share no inline
+// function with the rest of the program: the linker might keep the copy that was compiled for a newer processor.
 #pragma once
 
 #include <bit>
@@ -17,8 +17,8 @@ struct Block {
   Floats<N> xx, yy, zz, xy, xz, yz;
 };
 
-// With w_o = gradient of the node . gradient of corner o, and e_o the edge to it: F gradient = sum w_o e_o, |gradient|^2 =
-// - sum w_o, J = D e_0 . N, dJ = - D N.
+// With w_o the dot product of the node's gradient and corner o's, and e_o the edge to that corner: F gradient = sum w_o e_o,
+// |gradient|^2 = - sum w_o, J = D e_0 . N, dJ = - D N.
 template <int N>
 CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane, const Vec3s<N>& position,
                                      const Float4s<N>& before) {
@@ -60,8 +60,8 @@ CRUMPLE_INLINE Block<N> gather_block(const NodeView& v, uint32_t block, int lane
   return out;
 }
 
-// hessian^-1 gradient. Scaled by a power of two first, which changes no bit of the result: the determinant of a stiff and far
-// stretched block is beyond single precision.
+// hessian^-1 gradient. Both are scaled by a power of two first, because the determinant of a stiff and far stretched block is
+// beyond single precision. The scaling changes no bit of the result.
 template <int N>
 CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& block) {
   const Floats<N> trace = block.xx + block.yy + block.zz;
@@ -76,7 +76,7 @@ CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& block) {
           (xz * g.x + yz * g.y + zz * g.z) * scale};
 }
 
-// Flags are set by blocks of one colour, perhaps at the same time, and read by blocks of another.
+// Blocks of one colour set these flags, perhaps at the same time; blocks of other colours read them.
 CRUMPLE_INLINE void wake_around(const NodeView& v, uint32_t block) {
   for (uint32_t k = v.near_first[block]; k < v.near_first[block + 1]; ++k) {
     const uint32_t near = v.near[k];
@@ -115,7 +115,7 @@ void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
     }
     if (v.awake[block] == 1 && moved) {
       wake_around(v, block);
-      v.awake[block] = 2;  // once is enough
+      v.awake[block] = 2;  // no need to wake them again
     }
   }
 }
@@ -123,7 +123,7 @@ void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
 template <int N>
 struct LawLanes {
   Floats<N> mu, l, gamma, shear, bulk, start, slope, limit;
-  bool isotropic;  // shear and bulk are the same everywhere: nothing to iterate
+  bool isotropic;  // shear equals bulk everywhere, so there is nothing to iterate
 };
 
 template <int N>
@@ -184,13 +184,13 @@ CRUMPLE_INLINE Matrices<N> deformation_of(const Edges<N>& e, const Vec3s<N>& ga,
   return {{e.a * ga.x + e.b * gb.x + e.c * gc.x, e.a * ga.y + e.b * gb.y + e.c * gc.y, e.a * ga.z + e.b * gb.z + e.c * gc.z}};
 }
 
-// Never below a strain of 1e-5: without any yield stress a tet would be a fluid.
+// The yield stress is at least that of a strain of 1e-5: without any yield stress a tet would be a fluid.
 template <int N>
 CRUMPLE_INLINE Floats<N> yield_of(const LawLanes<N>& law, const Floats<N>& kappa) {
   return larger(law.start + law.slope * kappa, 1e-5f * larger(law.shear, law.bulk));
 }
 
-// flow.h's plastic_multiplier; 0 where the tet stays elastic.
+// plastic_multiplier() of flow.h; 0 where the tet stays elastic.
 template <int N>
 CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& deviator2, const Floats<N>& mean,
                                     const Floats<N>& kappa) {
@@ -219,15 +219,15 @@ CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& dev
   return (norm > yield) & (room > 0.0f) ? d : Floats<N>{};
 }
 
-constexpr float lost_volume = 0.02f;  // share of its volume left
-constexpr float lost_stretch = 6;     // mean square of its stretches: four times as long, or two and a half in all directions
+constexpr float lost_volume = 0.02f;  // share of a tet's volume left
+constexpr float lost_stretch = 6;     // mean squared stretch: four times as long in one direction, or 2.5 times in all
 
 template <int N>
 uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, Float4* stiffness, uint16_t* flowing) {
   uint32_t lost = 0;
   for (uint32_t g = first; g < last; ++g) {
     if (!v.stirred[g]) continue;
-    const bool changes = flowing[g] != 0;  // since the last time, or all were elastic and may still be
+    const bool changes = flowing[g] != 0;  // some lane was beyond yield in the last update
     unsigned beyond = 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const TetLanes& tet = v.tet[g];
@@ -269,7 +269,7 @@ uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, F
 template <int N>
 void line_derivative(const TetView& v, uint32_t first, uint32_t last, const Float4* stiffness, const Float4* direction,
                      double derivative[6]) {
-  constexpr uint32_t together = 16;  // groups summed in single precision
+  constexpr uint32_t together = 16;  // this many groups are summed in single precision, then in double
   for (uint32_t begin = first; begin < last; begin += together) {
     Floats<N> sum[lanes / N][6] = {};
     for (uint32_t g = begin; g < last && g < begin + together; ++g) {
@@ -289,7 +289,7 @@ void line_derivative(const TetView& v, uint32_t first, uint32_t last, const Floa
         uint32_t index[N];
         for (int k = 0; k < N; ++k) index[k] = lanes * g + lane + k;
         const Float4s<N> s = gather<N>(stiffness, index);
-        // six times the volume along the line: j0 + j1 a + j2 a^2 + j3 a^3, less where it wants to be
+        // Six times the volume along the line, j0 + j1 a + j2 a^2 + j3 a^3, minus its preferred value.
         const Vec3s<N> ebc = cross(e.b, e.c), fbc = cross(f.b, f.c), mixed = cross(f.b, e.c) + cross(e.b, f.c);
         const Floats<N> j0 = dot(e.a, ebc) - s.z, j1 = dot(f.a, ebc) + dot(e.a, mixed), j2 = dot(f.a, mixed) + dot(e.a, fbc),
                         j3 = dot(f.a, fbc);
@@ -311,7 +311,7 @@ void line_derivative(const TetView& v, uint32_t first, uint32_t last, const Floa
   }
 }
 
-// One rotation of Jacobi's method: makes a_pq zero. r: the third row and column; axes rotate along.
+// One Jacobi rotation, which makes a_pq zero. r is the third row and column; the axes rotate too.
 template <int N>
 CRUMPLE_INLINE void rotate(Floats<N>& app, Floats<N>& aqq, Floats<N>& apq, Floats<N>& arp, Floats<N>& arq, Vec3s<N>& p,
                            Vec3s<N>& q) {
@@ -331,7 +331,7 @@ CRUMPLE_INLINE void rotate(Floats<N>& app, Floats<N>& aqq, Floats<N>& apq, Float
   p = new_p;
 }
 
-// Principal strains, their axes, and the law: what the root find below needs of 16 tets.
+// The trial state: the input of the root search below.
 template <int N>
 struct Trial {
   LawLanes<N> law;
@@ -344,7 +344,8 @@ struct Flowed {
   Floats<N> norm, grown, excess;
 };
 
-// The state with the deviator at s of the trial's, the mean at 1 / (1 + (bulk / shear) (1/s - 1)) of it; see flow.h.
+// The state with the deviator at s of the trial's and the mean at 1 / (1 + (bulk / shear) (1/s - 1)) of the trial's; see
+// flow.h.
 template <int N>
 CRUMPLE_INLINE Flowed<N> flowed_at(const Trial<N>& t, const Floats<N>& s) {
   const LawLanes<N>& law = t.law;
@@ -364,7 +365,7 @@ CRUMPLE_INLINE Flowed<N> flowed_at(const Trial<N>& t, const Floats<N>& s) {
   return out;
 }
 
-// Excess of stress over shear modulus at which the root find stops: a ten-thousandth of the yield strain.
+// The root search stops at this excess of stress over shear modulus: a ten-thousandth of the yield strain.
 constexpr float root_tolerance = 1e-6f;
 
 template <int N>
@@ -403,7 +404,7 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, con
       Floats<N> low = none, high = one, below = flowed_at<N>(trial, low).excess, above = flowed_at<N>(trial, high).excess;
       const Ints<N> flows = (above > 0.0f) & (below <= 0.0f) & (j > lost_volume);
       Floats<N> share = none;
-      Ints<N> open = flows;  // each lane stops by itself, whoever stands beside it
+      Ints<N> open = flows;  // each lane stops by itself, independent of its neighbours
       for (int round = 0; round < 12 && any<N>(open); ++round) {
         const Floats<N> s = (low * above - high * below) / (above - below);
         share = open ? s : share;
@@ -417,7 +418,7 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, con
         open &= magnitude<N>(excess) > root_tolerance;
       }
       const Flowed<N> now = flowed_at<N>(trial, share);
-      // The factor axes diag(exp(change)) axes^T moves into the gradients.
+      // The factor axes diag(exp(change)) axes^T is applied to the gradients.
       const Vec3s<N> grow = {exp_of<N>(now.change.x) - 1.0f, exp_of<N>(now.change.y) - 1.0f, exp_of<N>(now.change.z) - 1.0f};
       const Floats<N> energy = 0.5f * (now.norm + trial.law.start + trial.law.slope * trial.kappa) * now.grown;
       const Floats<N> kappa = smaller(trial.law.limit, trial.kappa + now.grown);

@@ -37,7 +37,7 @@ std::optional<std::string> out_of_range(const Parameters& parameters) {
   for (int region = 0; region < region_limit; ++region) {
     for (const Range& range : ranges) {
       const float value = range.value(parameters, region);
-      if (value >= range.low && value <= range.high) continue;  // false for NaN too
+      if (value >= range.low && value <= range.high) continue;  // NaN does not pass either
       const std::string of = range.of_region ? " of region " + std::to_string(region) : "";
       char text[160];
       std::snprintf(text, sizeof text, "%s%s is %g%s; allowed are %g to %g%s", range.name, of.c_str(), double(value),

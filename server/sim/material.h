@@ -1,5 +1,5 @@
-// What a host may tune while the simulation runs: per car, and per region of the car. Every field states its unit, its range
-// and why the default is what it is. Out of range is refused with a sentence, never clamped.
+// Parameters that a host may tune while the simulation runs, per car and per region of the car. Every field states its unit,
+// its range and the reason for its default. A value out of range is refused with a sentence, never clamped.
 #pragma once
 
 #include <array>
@@ -10,15 +10,15 @@
 
 namespace crumple {
 
-inline constexpr int region_limit = 16;  // as asset's max_regions
+inline constexpr int region_limit = 16;  // same as max_regions in car.h
 
 enum class Solver : uint8_t { nodal, classic };
 
 struct Material {
-  // Of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. Yield stress and its slope below set the
-  // crush (bench/README.md); the modulus then sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
+  // Young's modulus of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. The yield stress and its
+  // slope below set the crush (bench/README.md); the modulus sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
   float young_modulus = 15e6f;
-  // Elastic, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
+  // Elastic Poisson ratio, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
   float poisson_ratio = 0.0f;
   // Elastic strain at which flow begins, [0, 1].
   float yield_strain = 0.009f;
@@ -26,10 +26,10 @@ struct Material {
   float hardening = 0.045f;
   // Norm of the plastic logarithmic strain that no tet exceeds, [0, 3]. 1.2: crushed to 30 % of its length.
   float plastic_limit = 1.2f;
-  // Drag on a node against the car's frame per volume it stands for, N s/m^4, [0, 1e9]. Takes energy, so as small as the
-  // solver still converges with.
+  // Drag on a node against the car's frame, per volume that the node stands for, N s/m^4, [0, 1e9]. Drag takes energy, so the
+  // default is the smallest with which the solver still converges.
   float drag = 5e3f;
-  // Of `classic` only (thesis 3.6.3, 3.8): stiffness of both constraints [0, 1]; share of a rest value kept per tick [0, 1].
+  // Used by `classic` only (thesis 3.6.3, 3.8), [0, 1]: stiffness of both constraints; share of a rest value kept per tick.
   float distance_stiffness = 1.0f;
   float volume_stiffness = 1.0f;
   float plasticity = 0.9f;
@@ -39,32 +39,32 @@ struct Material {
 
 struct Parameters {
   Solver solver = Solver::nodal;
-  // Sweeps per sub-step of `nodal` at most, iterations per tick of `classic`, [1, 1000].
+  // `nodal`: most sweeps per sub-step; `classic`: iterations per tick. [1, 1000].
   uint16_t iterations = 24;
-  // A sub-step of `nodal` ends when its last two sweeps moved the awake nodes by no more than this (rms), m, [0, 0.1]. An
-  // absolute length: a share of their way would spend sweeps where nothing moves and save them where the dent is made. 0: all
-  // iterations.
+  // A sub-step of `nodal` ends when its last two sweeps moved the awake nodes by no more than this (rms), m, [0, 0.1]. It is an
+  // absolute length, because a share of the nodes' way would spend sweeps where nothing moves and save them where the dent is
+  // made. 0: do all iterations.
   float tolerance = 8e-5f;
-  // Sub-steps of `nodal` in 1/60 s where nothing asks for shorter ones (deform.h), [1, 64]. Fewer cost accuracy of the
-  // path, more cost time.
+  // Sub-steps of `nodal` in 1/60 s, before any halving (substeps.h), [1, 64]. Fewer sub-steps follow the path less accurately;
+  // more take longer.
   uint16_t substeps = 4;
   std::array<Material, region_limit> region;
 
   friend bool operator==(const Parameters&, const Parameters&) = default;
 };
 
-// What each of the fields above may be; the solver aside.
+// The allowed range of each field above, except `solver`.
 struct Range {
   const char* name;
   float low, high;
   const char* unit;
-  bool of_region;  // else of the car
-  bool whole;      // numbers only
+  bool of_region;  // true: one value per region; false: one per car
+  bool whole;      // whole numbers only
   float (*value)(const Parameters&, int region);
 };
 std::span<const Range> parameter_ranges();
 
-// The first field out of its range as a sentence that names field, value and range; nothing if all are in range.
+// A sentence that names the first field out of its range, its value and the range; nothing if all are in range.
 [[nodiscard]] std::optional<std::string> out_of_range(const Parameters&);
 
 }  // namespace crumple

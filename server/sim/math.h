@@ -1,4 +1,4 @@
-// Vectors, and where a rigid thing stands.
+// Vectors, and the pose of a rigid thing.
 #pragma once
 
 #include <Eigen/Geometry>

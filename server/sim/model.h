@@ -1,5 +1,5 @@
-// What is built once and shared by every instance of a car: plain views onto the baked file, never written.
-// Frame: X forward, Y left, Z up, metres. Everything the tick needs is indexed by node, tet, edge or vertex.
+// A car as baked: built once, never written, shared by all instances. The spans point into the baked file.
+// Frame: X forward, Y left, Z up, metres. The tick uses only arrays indexed by node, tet, edge or vertex.
 #pragma once
 
 #include <cstdint>
@@ -16,7 +16,7 @@ struct Tet {
 struct Edge {
   uint32_t node[2];
 };
-// Rest gradients of the shape functions of corners 1..3, 1/m; that of corner 0 is minus their sum.
+// Rest gradients of the shape functions of corners 1..3, 1/m. The gradient of corner 0 is minus their sum.
 struct Gradients {
   Vec3 corner[3];
 };
@@ -42,7 +42,7 @@ struct Model {
   std::span<const Vec3> vertex;            // v rest positions, m
   std::span<const uint32_t> triangle;      // 3 f
   std::span<const Skin> skin;              // v
-  const Blocks* blocks = nullptr;          // made of the above
+  const Blocks* blocks = nullptr;          // made from the arrays above
   float mass = 0;                          // kg
   Vec3 center_of_mass = Vec3::Zero();      // m
   Vec3 inertia = Vec3::Zero();             // principal, about the centre of mass along the car's axes, kg m^2

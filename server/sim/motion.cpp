@@ -4,8 +4,7 @@ namespace crumple {
 
 Pose advance(const Pose& pose, const Eigen::Vector3d& velocity, const Eigen::Vector3d& angular_velocity, double seconds) {
   const Eigen::Vector3d half = 0.5 * seconds * angular_velocity;
-  // First order in the quaternion, then normalised (Cayley): the angle is right to a twelfth of its cube, and no sine is
-  // called.
+  // First order in the quaternion, then normalised (Cayley): the error is a twelfth of the angle's cube, and no sine is needed.
   const Eigen::Quaterniond turn(1, half.x(), half.y(), half.z());
   return {pose.position + seconds * velocity, (turn * pose.orientation).normalized()};
 }

@@ -1,4 +1,4 @@
-// The car as a rigid body: what contacts slow down inside the tick.
+// The car as a rigid body. Contacts change its motion inside the tick.
 #pragma once
 
 #include "sim/math.h"
@@ -12,13 +12,13 @@ struct Motion {
 };
 
 struct Mass {
-  double mass = 1500;                                          // kg; infinite: the path is law
+  double mass = 1500;                                          // kg; infinite: contacts do not change the path
   Eigen::Vector3d inertia = Eigen::Vector3d(600, 2400, 2600);  // principal, along the car's axes, kg m^2
   Eigen::Vector3d center = Eigen::Vector3d::Zero();            // of mass, in the car's frame, m
-  bool planar = true;  // on its wheels: impulses change the velocity in x and y and the yaw rate only
+  bool planar = true;  // the car stands on its wheels: impulses change only vx, vy and the yaw rate
 };
 
-// Where something that moves steadily (m/s, rad/s, world) stands after `seconds`.
+// The pose after `seconds` of steady motion (m/s, rad/s, world).
 Pose advance(const Pose&, const Eigen::Vector3d& velocity, const Eigen::Vector3d& angular_velocity, double seconds);
 
 // The car's pose after `seconds` of steady motion about its centre of mass.
@@ -27,7 +27,7 @@ Pose advance(const Motion&, const Mass&, double seconds);
 // Changes the velocities by an impulse (N s) and an angular impulse about the centre of mass (N m s), both in world axes.
 void push(const Eigen::Vector3d& impulse, const Eigen::Vector3d& angular_impulse, const Mass&, Motion&);
 
-// J; of the freedoms that contacts can change.
+// Kinetic energy of the degrees of freedom that contacts can change, J.
 double kinetic_energy(const Motion&, const Mass&);
 
 }  // namespace crumple

@@ -15,27 +15,27 @@ namespace {
 Vec3 vec(const Float4& q) { return {q.x, q.y, q.z}; }
 Float4 float4(const Vec3& v, float w) { return {v.x(), v.y(), v.z(), w}; }
 
-// The quadratic in one node: energy = gradient . d + d^T hessian d / 2.
+// The energy as a quadratic in one node: gradient . d + d^T hessian d / 2.
 struct Block {
   Vec3 gradient;
   Mat3 hessian;
 };
 
-// Planes push a node no farther than this many times the deepest of them: two that meet at a sharp angle would send it to where
-// they meet, far from the car.
+// Planes push a node at most this many times as far as the deepest of them. Two planes at a sharp angle would otherwise send it
+// to where they meet, far from the car.
 constexpr float farthest_push = 5;
 
-// A node in contact: its quadratic, where it stands, and where it would go freely.
+// A node in contact: its quadratic, its position, and where it would go without contacts.
 struct NodeProblem {
   const Contact* contacts;
-  int count;  // of them
+  int count;  // of contacts
   const Block& block;
   Mat3 inverse;  // of the hessian
   Vec3 position, free;
 };
 
-// The lowest point of the quadratic on the planes `active` of this node's contacts, and their multipliers, N. False where a
-// multiplier is negative, another plane is violated or that point is too far.
+// Finds the lowest point of the quadratic on the planes `active` of this node's contacts, and their multipliers, N. Returns
+// false if a multiplier is negative, another plane is violated, or the point is too far.
 bool solve_active_set(const NodeProblem& problem, unsigned active, Vec3& out, Vec3& multiplier) {
   const auto& [contacts, count, block, inverse, position, free] = problem;
   int chosen[contacts_per_node], size = 0;
@@ -68,8 +68,8 @@ bool solve_active_set(const NodeProblem& problem, unsigned active, Vec3& out, Ve
   return true;
 }
 
-// A node on one plane with Coulomb friction: sticks to the obstacle if the force that this needs lies in the cone, else slides
-// against a force on the cone.
+// A node on one plane with Coulomb friction. It sticks to the obstacle if the force that holds it lies in the cone; otherwise
+// it slides against a force on the cone.
 Vec3 solve_friction(const NodeProblem& problem, const Contact& contact, const Vec3& frictionless, float multiplier) {
   const auto& [contacts, count, block, inverse, position, free] = problem;
   const Vec3& n = contact.normal;
@@ -99,13 +99,13 @@ Block block_of(const float gradient[3], const float h[6]) {
   return block;
 }
 
-// What the kernels hand to the two functions that they call for a node in contact.
+// Context for the two functions that the kernels call for a node in contact.
 struct Touch {
   const ContactSet& contacts;
   NodalSolver& solver;
 };
 
-// A node that an obstacle may hold: the lowest point of its quadratic outside the obstacles.
+// Moves a node that an obstacle may hold to the lowest point of its quadratic outside the obstacles.
 void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
   const ContactSet& all = static_cast<const Touch*>(context)->contacts;
   NodalSolver& solver = static_cast<const Touch*>(context)->solver;
@@ -125,7 +125,7 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
   bool clear = true;
   for (int i = 0; i < count; ++i) clear = clear && contacts[i].normal.dot(free) >= contacts[i].offset;
   if (clear) return move_to(free);
-  // Few planes at most: try every set, small ones first.
+  // There are at most three planes: try every set, small ones first.
   static constexpr unsigned sets[] = {1, 2, 4, 3, 5, 6, 7};
   Vec3 target, multiplier;
   for (unsigned set : sets) {
@@ -141,13 +141,13 @@ void resolve(void* context, uint32_t node, const float gradient[3], const float 
     }
     return move_to(target);
   }
-  // Planes that leave no room (a car between two closing walls): the deepest one wins.
+  // The planes leave no room (a car between two closing walls): the deepest one wins.
   move_to(free + (contacts[0].offset - contacts[0].normal.dot(free)) * contacts[0].normal);
   held[0].active = true;
 }
 
-// Several planes press with the forces that add up to the one their node lacks. Says whether they can: planes that are not
-// nearly parallel, none of which would have to pull.
+// Divides the force on a node among several planes, each pressing along its normal. Returns false if that is impossible: the
+// planes are nearly parallel, or one of them would have to pull.
 bool press_together(const Vec3& force, std::span<const Contact> contacts, std::span<ContactForce> held) {
   size_t at[contacts_per_node];
   int count = 0;
@@ -168,14 +168,14 @@ bool press_together(const Vec3& force, std::span<const Contact> contacts, std::s
   return true;
 }
 
-// The gradient left on a node that contacts hold is their force; friction no more than the cone allows.
+// The gradient that remains on a node in contact is the contact force. Friction is limited by the cone.
 void measure(void* context, uint32_t node, const float gradient[3], const float[6]) {
   const auto& [all, solver] = *static_cast<const Touch*>(context);
   const Vec3 force(gradient[0], gradient[1], gradient[2]);
   const size_t first = all.first[node] - 1;
   size_t last = first;
   int planes = 0;
-  Vec3 shares = Vec3::Zero();  // of all planes, each what lies along its normal
+  Vec3 shares = Vec3::Zero();  // sum over the planes of the force's part along each normal
   for (; last < all.contact.size() && all.contact[last].node == node; ++last) {
     if (!solver.contact_forces[last].active) continue;
     const Vec3& normal = all.contact[last].normal;
@@ -190,7 +190,7 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
     held.force.setZero();
     if (!held.active) continue;
     const float normal_force = std::max(0.0f, contact.normal.dot(force));
-    if (planes > 1) {  // so scaled that together they give the force, however the planes lie to each other
+    if (planes > 1) {  // scaled so that all planes together give the force, however they lie to each other
       held.force = normal_force * force.dot(shares) / std::max(shares.squaredNorm(), 1e-20f) * contact.normal;
       continue;
     }
@@ -235,10 +235,10 @@ TetView tet_view(const Blocks& blocks, const NodalSolver& solver) {
           .stirred = solver.stirred.data()};
 }
 
-// Pieces of work: a microsecond or two.
+// Size of a piece of work: a microsecond or two.
 constexpr uint32_t blocks_at_once = 2, groups_at_once = 64;
 
-// work(first, last, sums) on all groups of tets.
+// Calls work(first, last, sums) on all groups of tets.
 template <size_t Count, class Work>
 std::array<double, Count> sum_over_groups(const Blocks& blocks, NodalSolver& solver, const Work& work) {
   return solver.team.sum<Count>(uint32_t(blocks.group.size()), groups_at_once, work);
@@ -252,8 +252,8 @@ double update_stiffness(const Blocks& blocks, NodalSolver& solver) {
   })[0];
 }
 
-// A body that has lost its shape (a state from elsewhere, a shape no crash makes) first springs back to the last one it had:
-// nothing flows until it has come to rest, or is sound again and an obstacle holds it. Flow would keep what was never there.
+// A body that has lost its shape (a foreign state, or a shape that no crash makes) first springs back to its last sound shape.
+// Nothing flows until it has come to rest, or is sound again and an obstacle holds it: flow would keep the wrong shape.
 void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, NodalSolver& solver, DeformableState& body) {
   if (lost > lost_share * double(tets)) body.lost = true;
   if (lost == 0 && held) body.lost = false;
@@ -271,10 +271,10 @@ void sweep(const Blocks& blocks, const NodeView& view, Team& team) {
   }
 }
 
-// Moves all nodes along solver.direction by the factor in [0, 1] that lowers the energy most. Along the line the energy is
-// a polynomial of degree six, so its minimum needs one pass over the tets.
+// Moves all nodes along solver.direction by the factor in [0, 1] that lowers the energy most. Along the line the energy is a
+// polynomial of degree six, so one pass over the tets finds its minimum.
 void search_line(const Blocks& blocks, NodalSolver& solver) {
-  double derivative[6] = {};  // of the energy along the line: sum derivative[k] a^k
+  double derivative[6] = {};  // of the energy at factor a: sum derivative[k] a^k
   for (size_t i = 0; i < solver.node.size(); ++i) {
     const Vec3 direction = vec(solver.direction[i]), position = vec(solver.node[i]);
     const float drag = solver.before[i].w, anchor = solver.rest[i].w;
@@ -304,8 +304,8 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
   }
 }
 
-// Sub-steps of a crash resemble one another: start from the last displacement, as much of it as lowers the energy.
-// Nodes in contact go where the obstacle takes them first.
+// Sub-steps of a crash resemble one another: start with as much of the last displacement as lowers the energy. First move nodes
+// in contact out of their obstacles.
 void predict(const Blocks& blocks, float share, std::span<const Contact> contacts, const DeformableState& body,
              NodalSolver& solver) {
   for (size_t i = 0; i < body.step.size(); ++i) {
@@ -322,8 +322,7 @@ void predict(const Blocks& blocks, float share, std::span<const Contact> contact
   search_line(blocks, solver);
 }
 
-// The acceleration also moves what has come to rest since, and anchored nodes that an obstacle has let go: they stay where they
-// were.
+// The acceleration also moves sleeping nodes, and anchored nodes that an obstacle has let go: put them back.
 void keep_still(const Blocks& blocks, NodalSolver& solver) {
   for (size_t block = 0; block < solver.awake.size(); ++block) {
     unsigned keep = solver.awake[block] ? unsigned(solver.still[block] & ~solver.touched[block]) : 0xffffu;
@@ -334,7 +333,7 @@ void keep_still(const Blocks& blocks, NodalSolver& solver) {
   }
 }
 
-// Springs for the anchored nodes that obstacles reach; together at most `most` N/m.
+// Attaches springs to the anchored nodes that obstacles reach; all springs together have at most the stiffness `most`, N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, const ContactSet& contacts,
                      NodalSolver& solver) {
   for (size_t i = 0; i < model.node.size(); ++i) solver.rest[i] = float4(model.node[i], 0);
@@ -357,7 +356,7 @@ void stiffen_anchors(const Model& model, const Parameters& parameters, float mos
   }
 }
 
-// Which lanes the sweeps move, and which they leave to `resolve`.
+// Marks the lanes that sweeps must not move, and the lanes that `resolve` moves.
 void mark_lanes(const Blocks& blocks, std::span<const Contact> contacts, NodalSolver& solver) {
   for (size_t block = 0; block < blocks.anchored.size(); ++block) {
     solver.still[block] = blocks.anchored[block] ? uint16_t(0xffff) : blocks.unused[block];
@@ -373,8 +372,8 @@ void mark_lanes(const Blocks& blocks, std::span<const Contact> contacts, NodalSo
   }
 }
 
-// Who takes part in this sub-step from its start: what an obstacle may hold, and what moved in the last one. All of it where
-// that says too little: a lost shape, a body from elsewhere or partly repaired, one that an obstacle has just let go.
+// Wakes blocks that touch an obstacle or moved in the last sub-step. Wakes the whole body if its shape was lost, loaded,
+// repaired or just released.
 void wake_blocks(const Blocks& blocks, float quiet, bool held, const DeformableState& body, NodalSolver& solver) {
   bool moved = false;
   for (size_t i = 0; i < body.step.size(); ++i) {
@@ -392,7 +391,7 @@ void wake_blocks(const Blocks& blocks, float quiet, bool held, const DeformableS
   }
 }
 
-// What the rows of a tet's four nodes need of its gradients.
+// Writes the dot products of a tet's gradients to the rows of its four nodes.
 void weigh_tet(const DeformableState& body, const Blocks& blocks, uint32_t t, NodalSolver& solver) {
   const auto& g = body.gradients[t].corner;
   const Vec3 first = -g[0] - g[1] - g[2];
@@ -405,7 +404,7 @@ void weigh_tet(const DeformableState& body, const Blocks& blocks, uint32_t t, No
   }
 }
 
-// What flowed in a group of tets, into the body and the rows.
+// Copies the flowed tets of a group to the body, and their dot products to the rows.
 void take_flow(const Blocks& blocks, uint32_t group, NodalSolver& solver, DeformableState& body) {
   if (!solver.stirred[group]) return;
   const TetLanes& tet = solver.tets[group];
@@ -421,7 +420,7 @@ size_t awake_nodes(const NodalSolver& solver) {
   return lanes * size_t(std::count_if(solver.awake.begin(), solver.awake.end(), [](uint8_t awake) { return awake != 0; }));
 }
 
-// A gradient is as long as one over the height above the face opposite.
+// The length of a gradient is one over the height above the opposite face.
 bool thin(const Gradients& gradients) {
   const auto& g = gradients.corner;
   const float steepest =
@@ -429,7 +428,7 @@ bool thin(const Gradients& gradients) {
   return steepest * thinnest * thinnest > 1;
 }
 
-// The squared way of all nodes in this sub-step, m^2; an awake node's is no shorter than at the speed at which it is at rest.
+// Squared way of all nodes in this sub-step, m^2. Each awake node counts for at least the way at which it would be at rest.
 double way_size(float quiet, const NodalSolver& solver) {
   double sum = double(awake_nodes(solver)) * double(quiet * quiet);
   for (size_t i = 0; i < solver.node.size(); ++i) {
@@ -449,12 +448,12 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Defor
   for (auto* list : {&solver.node, &solver.before, &solver.rest, &solver.direction}) {
     list->assign(padded_nodes(n), Float4{});
   }
-  solver.before[n].w = 1;  // what stands in unused lanes must not divide by zero
+  solver.before[n].w = 1;  // unused lanes must not divide by zero
   solver.stiffness.assign(padded + 1, Float4{});
   solver.tets.assign(blocks.group.size(), TetLanes{});
   solver.weights.assign(blocks.rows.size(), Weights{});
   solver.flowing.assign(blocks.group.size(), 0xffff);
-  solver.stirred.assign(blocks.group.size(), 1);  // all, once
+  solver.stirred.assign(blocks.group.size(), 1);  // all groups, the first time
   solver.awake.resize(blocks.anchored.size());
   solver.still.resize(blocks.anchored.size());
   solver.touched.resize(blocks.anchored.size());
@@ -510,7 +509,7 @@ SolveStats solve_nodal(const StepInput& input, const ContactSet& contacts, float
   Anderson& anderson = solver.anderson;
   anderson.begin();
   const double enough = double(parameters.tolerance) * double(parameters.tolerance);
-  double mean = 0;  // square of the residual, m^2
+  double mean = 0;  // squared residual per awake node, m^2
   int done = 0;
   while (done < parameters.iterations) {
     solver.step_start = solver.node;
@@ -557,7 +556,7 @@ double stored_nodal(const Model& model, const ContactSet& contacts, NodalSolver&
     if (!contacts.is_first(contact)) continue;
     sum += 0.5 * double(solver.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm();
   }
-  return std::max(0.0, sum);  // at rest it is noise around nothing
+  return std::max(0.0, sum);  // at rest the sum is rounding noise around zero
 }
 
 }  // namespace crumple

@@ -72,7 +72,7 @@ std::optional<std::string> make_hull(std::span<const Vec3> points, Obstacle& obs
       }
     }
   }
-  // A flat or line-like set gives two opposite faces through all points, or none.
+  // Flat or collinear points give two opposite faces through all of them, or none.
   float thickness = 0;
   if (!faces.empty()) {
     for (const Vec3& point : points) thickness = std::max(thickness, faces[0].offset - faces[0].normal.dot(point));

@@ -9,8 +9,8 @@
 namespace crumple {
 namespace {
 
-constexpr float flat = 0.02f;     // share of a tet's volume left: below it no shape is a sound one at rest
-constexpr float reverted = 0.1f;  // of the flow around an inverted tet, a tick
+constexpr float flat = 0.02f;     // share of a tet's volume left: a tet with less is not sound at rest
+constexpr float reverted = 0.1f;  // share of the flow around an inverted tet that is reverted per tick
 
 bool is_finite(float number) { return std::isfinite(number); }
 bool is_finite(const Vec3& v) { return v.allFinite(); }
@@ -28,7 +28,7 @@ void reset_non_finite(Number& number) {
   if (!std::isfinite(number)) number = 0;
 }
 
-// A node, tet or edge with a number that is not finite has lost its shape: in all that it has it is as baked again.
+// A node, tet or edge with a number that is not finite gets its baked value in all its fields.
 void reset_non_finite(const Model& model, Per per, DeformableState& body) {
   std::vector<uint8_t> broken(count_of(model, per), 0);
   const auto for_each_list = [&](const auto& visit) {

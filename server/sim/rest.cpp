@@ -4,7 +4,8 @@
 
 namespace crumple {
 
-constexpr float wake_depth = 1e-4f;  // m: an obstacle this deep in a settled body wakes it
+// m: an obstacle this deep in a settled body wakes it, and so does one that has slid this far along it.
+constexpr float wake_depth = 1e-4f;
 
 void settle(float h, std::span<const Vec3> before, DeformableState& body) {
   float most = 0;

@@ -1,4 +1,4 @@
-// Bodies that have come to rest cost nothing: how they settle, what they do meanwhile, and what wakes them.
+// Bodies at rest cost nothing. This file says when a body settles, what it does while settled, and what wakes it.
 #pragma once
 
 #include <span>
@@ -8,20 +8,20 @@
 
 namespace crumple {
 
-// m/s: a node that is slower is at rest, and its block is not solved; nor is a body all of whose nodes are.
+// m/s: a slower node is at rest. A block whose nodes are all at rest is not solved, nor is a body whose nodes are all at rest.
 inline constexpr float settle_speed = 2e-3f;
 
-// After a sub-step of h seconds that began with the nodes at `before`: their displacements, and whether the body is at rest.
+// After a sub-step of h seconds: stores each node's displacement from `before`, and whether the body is at rest.
 void settle(float h, std::span<const Vec3> before, DeformableState&);
 
-// A settled body wakes when an obstacle enters it, and when the one that it rests against has moved on or leaves. h: of the
-// sub-step, s. drift: way of the obstacles along it since it settled, m; counted on.
+// Whether obstacles wake a settled body: one enters it, or the one that it rests against moves along it or leaves. h: length of
+// the sub-step, s. drift: how far that obstacle has slid since the body settled, m; this call adds to it.
 [[nodiscard]] bool is_woken(double h, std::span<const Contact>, const DeformableState&, float& drift);
 
-// A sub-step of a body that stays at rest: the obstacle that it rests against goes on pressing it with the same force.
+// One sub-step of a body that stays at rest: the obstacle that it rests against keeps pressing with the same force.
 void stay_at_rest(const StepInput&, const Substep&, StepState&);
 
-// Anchored nodes that nothing touches stand where they were baked.
+// Puts anchored nodes without a contact back to their rest positions.
 void hold_anchors(const Model&, const ContactSet&, DeformableState&);
 
 }  // namespace crumple

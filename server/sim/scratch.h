@@ -1,6 +1,6 @@
-// Memory of one worker, reused from car to car: each part is written by the file that declares it. Between two ticks it keeps
-// its capacity, and for how many cars the team goes on without helpers, which changes nothing but time. All else is written in
-// a tick before it is read there.
+// Memory of one worker, reused from car to car. Only the file that declares a part writes it. Between ticks the memory keeps
+// its capacity and the number of cars that the team still solves without helpers; that number affects only time. Everything
+// else is written in a tick before it is read.
 #pragma once
 
 #include <vector>
@@ -14,7 +14,7 @@ namespace crumple {
 struct Scratch {
   ContactSet contacts;
   NodalSolver solver;
-  std::vector<Vec3> start;  // of deform.cpp: node positions at the start of the sub-step, m
+  std::vector<Vec3> start;  // used by deform.cpp: node positions at the start of the sub-step, m
   Backup backup;
 };
 

@@ -21,7 +21,7 @@ void displace(const Model& model, const DeformableState& body, std::span<const u
 
 void displace(const Model& model, const LevelMap& to, const DeformableState& body, std::span<const uint32_t> nodes,
               std::span<Vec3> out) {
-  std::vector<Vec3> moved(body.node.size());  // a node carries some ten of the other mesh
+  std::vector<Vec3> moved(body.node.size());  // computed once, because some ten nodes of the other mesh use each
   for (size_t i = 0; i < moved.size(); ++i) moved[i] = body.node[i] - model.node[i];
   for (size_t i = 0; i < nodes.size(); ++i) {
     const Skin& skin = to.node[nodes[i]];

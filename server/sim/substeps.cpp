@@ -2,7 +2,7 @@
 
 namespace crumple {
 
-constexpr float shortest_substep = 0.01f;  // of a whole one, where the first is cut to the touch
+constexpr float shortest_substep = 0.01f;  // share of a whole sub-step: the shortest first one, which begins at the touch
 
 int choose_substeps(const StepInput& input, const ContactSet& contacts, const DeformableState& body, const Motion& motion) {
   double closing = 0;
@@ -11,7 +11,7 @@ int choose_substeps(const StepInput& input, const ContactSet& contacts, const De
     const double turning = motion.angular_velocity.norm() + obstacle.angular_velocity.norm();
     closing = std::max(closing, (motion.velocity - obstacle.velocity).norm() + double(body.reach) * turning);
   }
-  // A block of the car's size, squeezed: its stiffness is about one and a half times E times its length from the middle.
+  // The car squeezed as one block: its stiffness is about 1.5 E times its reach.
   double modulus = 0;
   for (const Material& material : input.parameters.region) modulus = std::max(modulus, double(material.young_modulus));
   const double frequency = std::sqrt(1.5 * modulus * double(body.reach) / input.mass.mass);

@@ -1,7 +1,7 @@
-// How a tick is cut into sub-steps. They are a share of time, not of a tick, so that the tick rate does not change the crush.
-// They are halved, up to halvings times, while in one of them the car would meet an obstacle by more than substep_travel, or
-// contacts would turn its motion by more than substep_turn (their force is stepped explicitly). Fewer sub-steps than the
-// default raise both limits in proportion; coarse meshes lose little accuracy.
+// How a tick is divided into sub-steps. Their length is a share of a second, not of a tick, so the tick rate does not change
+// the crush. Sub-steps are halved, up to `halvings` times, while in one of them the car would meet an obstacle by more than
+// substep_travel, or contacts would turn its motion by more than substep_turn (their force is integrated explicitly). Fewer
+// sub-steps than the default raise both limits in proportion; coarse meshes lose little accuracy.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 
 namespace crumple {
 
-inline constexpr double substep_travel = 0.08;  // m: an edge of a 10,000-node car
+inline constexpr double substep_travel = 0.08;  // m: edge length of a 10,000-node car
 inline constexpr double substep_turn = 1.1;     // radians
 inline constexpr int halvings = 3;
 
@@ -23,19 +23,19 @@ inline double coarseness(const Parameters& parameters) {
   return std::max(1.0, double(Parameters{}.substeps) / double(parameters.substeps));
 }
 
-// Sub-steps of a tick, for so many in 1/60 s; before they are halved.
+// Sub-steps of a tick before halving; `substeps`: their number in 1/60 s.
 inline int substep_count(int substeps, double seconds) {
   return std::max(1, int(std::lround(seconds / substep_seconds(substeps))));
 }
 
-// How many the tick makes, for the candidates that were found.
+// Sub-steps of this tick, halving included. Call it after find_candidates().
 int choose_substeps(const StepInput&, const ContactSet&, const DeformableState&, const Motion&);
 
-// Where the car's frame goes in a sub-step: with the velocity half-way through it, if the contacts' force stays. With the
-// velocity at its start each sub-step would create the energy impulse^2 / (2 mass).
+// The car's pose after a sub-step of h seconds, moved with the velocity half-way through it if the contact force stays the
+// same. With the velocity at the start each sub-step would create the energy impulse^2 / (2 mass).
 Pose path(const Mass&, const DeformableState&, const Motion&, double h);
 
-// Share of the sub-step that is left when the first contact closes, so that a crash begins at the touch; 1 if none closes.
+// Share of the sub-step that remains when the first contact closes, so that a crash begins at the touch; 1 if none closes.
 float after_touch(std::span<const Contact>);
 
 }  // namespace crumple

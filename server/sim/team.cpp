@@ -10,7 +10,7 @@ namespace {
 
 constexpr int most_helpers = 7, most_delays = 2, gathers_alone = 60;
 
-// Waits for the others: most pieces end within a microsecond or two; who waits longer waits for a thread that is not running.
+// Waits for other threads. Most pieces end within a microsecond or two; a longer wait is for a thread that is not running.
 class Wait {
  public:
   void once() {

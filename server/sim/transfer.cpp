@@ -7,7 +7,7 @@
 namespace crumple {
 namespace {
 
-constexpr double sound = 0.02;  // smallest determinant of a shape that counts as one, as in flow.h
+constexpr double sound = 0.02;  // smallest determinant of a sound shape, as in flow.h
 
 using Matrix = Eigen::Matrix3d;
 
@@ -32,8 +32,8 @@ DeformableState transfer(const Model& from, const Model& to, const LevelMap& map
     const Skin& s = map.node[i];
     for (int k = 0; k < 4; ++k) out.node[i] += s.weight[k] * (body.node[s.node[k]] - from.node[s.node[k]]);
   }
-  // With F the whole deformation and F_p its plastic part, gradients = rest gradients * F_p^-1, and F F_p^-1 is what carries
-  // stress. The new tet has an F of its own; its F_p follows.
+  // F is the whole deformation and F_p its plastic part: gradients = rest gradients * F_p^-1, and F F_p^-1 carries the stress.
+  // The new tet has its own F; this computes its F_p from it.
   for (size_t t = 0; t < out.gradients.size(); ++t) {
     const uint32_t source = map.tet[t];
     out.hardening[t] = body.hardening[source];
@@ -41,7 +41,7 @@ DeformableState transfer(const Model& from, const Model& to, const LevelMap& map
     const Matrix rest = rows(to.gradients[t]);
     const Matrix whole = shape(to.tet[t], out.node, to.gradients[t]);
     const Matrix elastic = shape(from.tet[source], body.node, body.gradients[source]);
-    Matrix plastic;  // inverse
+    Matrix plastic;  // F_p^-1
     if (whole.determinant() > sound && elastic.determinant() > sound) {
       plastic = whole.inverse() * elastic;
     } else {

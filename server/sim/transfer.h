@@ -1,19 +1,19 @@
-// A body from one level of a car to another: the same surface in other tets. Nodes go where the old mesh takes them, and each
-// tet keeps the stress that the old one had there, so that a shape which was at rest is at rest, near enough. What the coarser
-// mesh cannot show is lost for good.
+// Moves a body from one level of a car to another: the same surface on another mesh. Its nodes go where the old mesh carries
+// them, and each tet keeps the stress that the old mesh had there, so a body at rest stays nearly at rest. Detail that the
+// coarser mesh cannot show is lost.
 #pragma once
 
 #include "sim/body.h"
 
 namespace crumple {
 
-// Where a mesh finds itself in another at rest. Made once for each pair of levels (asset/map_level.h).
+// Where the nodes and tets of a mesh lie in another mesh, at rest. Made once for each pair of levels (car/map_level.h).
 struct LevelMap {
-  std::vector<Skin> node;     // per node: four nodes of the other and their weights
-  std::vector<uint32_t> tet;  // per tet: the one of the other that holds its middle, or is nearest to it
+  std::vector<Skin> node;     // per node: four nodes of the other mesh and their weights
+  std::vector<uint32_t> tet;  // per tet: the tet of the other mesh that contains its centre, or the nearest one
 };
 
-// `classic` keeps no dents through it: its rest values are as baked again.
+// `classic` loses its dents: edge_rest and tet_rest get their baked values.
 DeformableState transfer(const Model& from, const Model& to, const LevelMap&, const DeformableState&);
 
 }  // namespace crumple

@@ -1,12 +1,12 @@
-// N floats at once, in the compiler's own vectors: the same source for 4, 8 and 16 lanes, and the same bits, since every
-// operation is IEEE's + - * / or square root, lane by lane, in one order.
+// N floats at once, in the compiler's own vectors. The same source serves 4, 8 and 16 lanes and gives the same bits, because
+// every operation is IEEE's + - * / or square root, lane by lane, in one order.
 #pragma once
 
 #include <cstdint>
 
 namespace crumple {
 
-// A node as the kernels load it: a position, m, and one number that goes with it.
+// A node in the layout of the kernels: a position, m, and one number that belongs to it.
 struct alignas(16) Float4 {
   float x, y, z, w;
 };
@@ -59,7 +59,7 @@ CRUMPLE_INLINE Floats<N> magnitude(const Floats<N>& v) {
 
 template <int N>
 CRUMPLE_INLINE unsigned bits(const Ints<N>& mask) {
-#ifdef __AVX__  // one instruction, where the compiler takes lane by lane out of the loop
+#ifdef __AVX__  // one instruction; the compiler would extract lane by lane
   if constexpr (N == 8) return unsigned(__builtin_ia32_movmskps256((Floats<8>)mask));
 #endif
   unsigned out = 0;
@@ -119,7 +119,7 @@ struct Float4s {
   CRUMPLE_INLINE Vec3s<N> xyz() const { return {x, y, z}; }
 };
 
-// N records from anywhere, transposed: whole 16-byte loads beat gathers of single floats.
+// N records from any places, transposed. Whole 16-byte loads are faster than gathers of single floats.
 template <int N>
 CRUMPLE_INLINE Float4s<N> gather(const Float4* from, const uint32_t* index) {
   Floats<N> row[4];  // row[r] holds records r, 4 + r, 8 + r, ...
@@ -160,7 +160,7 @@ CRUMPLE_INLINE Float4s<N> gather(const Float4* from, const uint32_t* index) {
   }
 }
 
-// N records of three numbers and a zero, back to where they came from; lanes whose bit is set in `skip` stay.
+// Writes N records of three numbers and a zero back to their places. Lanes whose bit is set in `skip` are not written.
 template <int N>
 CRUMPLE_INLINE void scatter(const Vec3s<N>& v, Float4* to, const uint32_t* index, unsigned skip) {
   Floats<N> row[4];

@@ -1,8 +1,7 @@
-// The time budget of a tick: so many tet visits, and no more. In: what each car's last tick took and left undone, and the
-// importance that its host gives it. Out: how many sub-steps, and how many sweeps in each, every car may make in this one.
-// Where they ask for more than there is, it is taken away where the least is lost by it: sweeps, one step of the solver (two of
-// them) at a time, and then half of the sub-steps where the mesh is too coarse to show them. Law: under the budget every car
-// makes what it likes.
+// The budget of a tick in tet visits. In: what each car's last tick took and left undone, and the importance from its host.
+// Out: how many sub-steps, and how many sweeps in each, every car may make in this tick. If the cars ask for more than the
+// budget, it takes work away where the least accuracy is lost: first sweeps, one solver step (two sweeps) at a time, then half
+// of the sub-steps where the mesh is too coarse to show them. Law: below the budget every car makes what its parameters allow.
 #include "tick/budget.h"
 
 #include <algorithm>
@@ -15,32 +14,32 @@
 namespace crumple {
 namespace {
 
-// What a sub-step, and a tick, take beside the sweeps: in sweeps over all tets.
+// What a sub-step and a tick take besides their sweeps, in sweeps over all tets.
 constexpr double substep_costs = 3, tick_costs = 5;
 
-// Sweeps that a sub-step is left at least; the second step is the first that can be accelerated. At 50 km/h, 4,642 nodes end
-// with 4 sweeps 3.0 (wall) and 2.7 % (pole) of the largest displacement from all of them, with 2 sweeps 14 and 10 %
-// (bench/page.md). A longer sub-step needs more of them: 1,071 nodes end in a wall with 2 sub-steps of 6 sweeps 13 % off, of 8
-// sweeps 2.4 %, which is what 4 sub-steps of 4 are. Where a wave has crossed the mesh by then it does not: 335 nodes are 3.2 %
-// off with 4 sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, of 8 sweeps 6.1 (bench/scene.cpp).
+// Fewest sweeps of a sub-step. Acceleration begins with the second solver step. At 50 km/h, 4,642 nodes with 4 sweeps end 3.0
+// (wall) and 2.7 % (pole) of the largest displacement away from the result with all sweeps, with 2 sweeps 14 and 10 %
+// (bench/page.md). A longer sub-step needs more sweeps: 1,071 nodes in a wall end 13 % away with 2 sub-steps of 6 sweeps,
+// but 2.4 % with 2 of 8, as good as 4 of 4. A mesh so small that a wave crosses it in that time needs no more: 335 nodes
+// end 3.2 % away with 4 sub-steps of 4 sweeps, 3.4 with 2, 5.2 with one, 6.1 with one of 8 (bench/scene.cpp).
 constexpr int step = sweeps_a_step, fewest = 2 * step, fewest_of_halved = 4 * step;
 constexpr size_t few_nodes = 500;
-constexpr double longest_way = 0.8;  // of a sub-step, against an obstacle, in edges of the mesh
-constexpr int usual = 8;             // sweeps of a car that is only now woken: about what the default tolerance asks for
-constexpr double worth = 2;          // how much larger the residual is without the last step
+constexpr double longest_way = 0.8;  // longest way of a sub-step against an obstacle, in edges of the mesh
+constexpr int usual = 8;             // sweeps of a car that is just waking: about what the default tolerance needs
+constexpr double worth = 2;          // the residual without the last step is this many times larger
 
 struct Plan {
-  int substeps, sweeps;  // the former in 1/60 s
+  int substeps, sweeps;  // substeps: in 1/60 s
 };
 
 struct Share {
   Instance* car;
-  size_t order;    // among equals
-  Plan plan;       // what it asks for, then what it is left
+  size_t order;    // breaks ties
+  Plan plan;       // first what the car asks for, then what remains of it
   double seconds;  // of a tick
-  double halved;   // sub-steps that deform() makes of one
+  double halved;   // sub-steps that deform() makes of one by halving
   double awake, tets;
-  double loss = 0;  // importance * m of residual per tet visit saved, of what is taken away next
+  double loss = 0;  // importance * m of residual per tet visit saved by the next cut
 
   double work(const Plan& of) const {
     return substep_count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
@@ -59,7 +58,7 @@ bool may_halve(const Instance& car, int substeps, double seconds) {
   return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
 }
 
-// What is taken away next; the same plan if there is nothing.
+// The plan after the next cut; the same plan if nothing can be cut.
 Plan less(const Share& share) {
   const Instance& car = *share.car;
   const Plan now = share.plan;
@@ -72,7 +71,7 @@ Plan less(const Share& share) {
 
 double saved(const Share& share) { return share.work(share.plan) - share.work(less(share)); }
 
-// What the car asks for.
+// The plan that the car asks for.
 Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
   const int most = car.parameters.iterations, substeps = car.parameters.substeps;
   const StepResult& last = car.result;
@@ -86,13 +85,13 @@ Share ask(const World& world, Instance& car, size_t order, double worst, double&
     residual = worst;
     return share;
   }
-  share.awake = std::min(all, double(last.work) / last.sweeps);  // it may be on another mesh now
+  share.awake = std::min(all, double(last.work) / last.sweeps);  // the car may have changed its mesh
   if (car.fresh > 0) share.awake = all;
   const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
-  // One that was kept short would have made more; how many more is seen by letting it.
+  // A car that used all its sweeps would have made more. Allowing twice as many shows how many more.
   share.plan.sweeps = std::min(most, used >= car.sweeps ? 2 * used : used);
   if (car.fresh > 0) share.plan.sweeps = std::max(share.plan.sweeps, std::min(most, usual));
-  residual = double(last.residual) * car.substeps / substeps;  // of a shorter way
+  residual = double(last.residual) * car.substeps / substeps;  // as if for the shorter way of a full sub-step
   for (int k = used; k < share.plan.sweeps; k += step) residual /= worth;
   return share;
 }

@@ -1,4 +1,4 @@
-// How many sub-steps and sweeps each car may make in a tick, so that all of them fit the budget.
+// Chooses how many sub-steps and sweeps each car may make in a tick, so that the tick fits the budget.
 #pragma once
 
 #include <cstdint>
@@ -8,11 +8,11 @@
 
 namespace crumple {
 
-// An input that sets the budget of the ticks from then on: tet visits a tick; 0: none. Only the program sends it: the world
-// knows no clock, and so what it is measured by is recorded like all inputs.
+// An input that sets the budget of this tick and all later ones, in tet visits per tick; 0: no limit. Only the program sends
+// it. The world has no clock, so the caller measures time and the budget is recorded like every other input.
 Message budget_message(uint64_t visits);
 
-// What a tick of a car has come to, in tet visits, and what it would come to if the car crashed on this level.
+// Tet visits that a car's last tick took, and that a tick would take if the car crashed on this level.
 double work_of(const Model&, const StepResult&);
 double crash_work(const World&, const Instance&, const Car& level);
 // Sets the sub-steps and sweeps of each car for this tick.

@@ -1,4 +1,3 @@
-// Commands on a car: spawn, despawn, repair, parameters, save, load, replace. Each is done whole or refused with a sentence.
 #include "tick/commands.h"
 
 #include <algorithm>
@@ -11,7 +10,7 @@
 namespace crumple {
 namespace {
 
-// The car a command is for.
+// The car that a command is for.
 struct Target {
   const std::string& id;
   Instance& car;

@@ -1,4 +1,5 @@
-// Commands on a car: spawn, despawn, repair, parameters, save, load, replace. Each is done whole or refused with a sentence.
+// Commands on a car: spawn, despawn, repair, parameters, save, load, replace. Each is done completely or refused with a
+// sentence.
 #pragma once
 
 #include <string>
@@ -8,7 +9,7 @@
 
 namespace crumple {
 
-// state: the answer to Save.
+// Executes the order. state receives the answer to Save.
 [[nodiscard]] std::optional<Refusal> obey(World&, const std::string& car, Order&&, Bytes& state);
 
 }  // namespace crumple

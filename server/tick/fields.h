@@ -1,6 +1,6 @@
-// The fields of a world, each of them once, for all who walk them: a snapshot writes and reads them (snapshot.cpp), the hash
-// sums them up (hash.cpp). A File takes numbers (`raw`) and sizes of lists (`resize`), and says whether it `reads` into them or
-// only `sums` them up: then bodies, logs and surfaces are left to the hashes that their car keeps.
+// Lists every field of a world once. The snapshot writes and reads the fields (snapshot.cpp), the hash hashes them (hash.cpp).
+// A File takes numbers (`raw`) and sizes of lists (`resize`). `reads` says that it reads into the fields. `sums` says that it
+// only hashes them; it then leaves out bodies, logs and surfaces and takes the hashes that the car keeps of them.
 #pragma once
 
 #include <array>
@@ -13,7 +13,7 @@
 
 namespace crumple {
 
-// A T that is read into, or a const one that is written.
+// A T to read into, or a const T to write.
 template <class T, class Type>
 concept Is = std::same_as<std::remove_const_t<T>, Type>;
 template <class T>
@@ -31,7 +31,7 @@ template <class File>
 void field(File& file, Is<bool> auto& value) {
   uint8_t number = value;
   file.raw(&number, sizeof number);
-  if constexpr (File::reads) value = number != 0;  // damage may be any number
+  if constexpr (File::reads) value = number != 0;  // damaged bytes may hold any number
 }
 template <class File>
 void field(File& file, Is<Eigen::Vector3d> auto& v) {
@@ -42,7 +42,7 @@ void field(File& file, Is<std::string> auto& text) {
   file.resize(text);
   file.raw(text.data(), text.size());
 }
-// Of numbers without padding.
+// Lists of numbers without padding.
 template <class File, class List>
 requires Is<List, std::vector<typename List::value_type>>
 void field(File& file, List& list) {
@@ -98,7 +98,7 @@ void field(File& file, Is<Obstacle> auto& obstacle) {
   field(file, obstacle.pose, obstacle.velocity, obstacle.angular_velocity);
 }
 
-// Without levels and body.
+// All fields of a car except levels and body.
 template <class File>
 void field(File& file, Is<Instance> auto& car) {
   field(file, car.level_tick, car.importance, car.host, car.mass.mass, car.mass.inertia, car.mass.center, car.mass.planar);

@@ -1,5 +1,5 @@
-// The hash of everything that the next tick depends on: two runs are the same if theirs are. What is large (body, surfaces) is
-// hashed where it changes, by the worker that changed it.
+// Hashes everything that the next tick depends on: two runs are equal if their hashes are. Large parts (bodies, surfaces) are
+// hashed when they change, by the worker that changed them.
 #define XXH_INLINE_ALL
 #include "tick/hash.h"
 
@@ -12,13 +12,13 @@
 namespace crumple {
 namespace {
 
-// XXH64 of all that is walked. A field has some bytes, and a world of 1,000 cars 100,000 fields: they are gathered first.
+// XXH64 of all fields. A field has few bytes and a world of 1,000 cars has 100,000 fields, so bytes are gathered first.
 class Sum {
  public:
   static constexpr bool reads = false, sums = true;
   Sum() { XXH64_reset(&state_, 0); }
   void raw(const void* data, size_t size) {
-    if (size == 0) return;  // of an empty list, which may be nowhere
+    if (size == 0) return;  // an empty list may have no address
     if (size > sizeof gathered_ - used_) {
       flush();
       if (size > sizeof gathered_) {

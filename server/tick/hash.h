@@ -1,4 +1,4 @@
-// Everything that the next tick depends on, as one number.
+// One hash of everything that the next tick depends on.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +7,7 @@
 
 namespace crumple {
 
-// The same after the same inboxes, for any thread count and instruction set.
+// Equal after equal inboxes, for any thread count and instruction set.
 uint64_t hash(const World&);
 
 }  // namespace crumple

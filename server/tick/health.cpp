@@ -1,4 +1,3 @@
-// What the server tells about itself: times of its rooms, counts against their limits, refusals by reason.
 #include "tick/health.h"
 
 #include <algorithm>
@@ -10,12 +9,12 @@
 namespace crumple {
 namespace {
 
-constexpr double told_seconds = 10;  // ten healths, any of which shows a viewer that it lost something
-constexpr size_t told_most = 500;    // cars in one health, the latest, so that it stays one batch
+constexpr double told_seconds = 10;  // s: ten health messages list a change, and any of them shows a viewer that it missed it
+constexpr size_t told_most = 500;    // most cars in one health message, the latest ones, so that it fits one batch
 
 uint64_t last(const HealthReport::CarTold& told) { return *std::max_element(told.ticks.begin(), told.ticks.end()); }
 
-// Cars of which viewers were sent something lately.
+// Cars whose viewers received something lately.
 std::vector<HealthReport::CarTold> told_lately(const World& world) {
   std::vector<HealthReport::CarTold> out;
   for (const auto& [id, car] : world.cars) {

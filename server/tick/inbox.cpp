@@ -1,5 +1,3 @@
-// The messages of a tick, in the order they came. A bad one is refused whole, counted, answered if it was a query, and leaves
-// the world as it was.
 #include "tick/inbox.h"
 
 #include <algorithm>
@@ -21,7 +19,7 @@ Refusal stale(const char* what, uint64_t sequence, uint64_t last) {
                                       " is allowed (a host that starts anew may count from the time in microseconds)"};
 }
 
-// Who may not speak is refused before anything is read: whoever invents hosts costs a look at their names.
+// Checks the host before it decodes anything: a message from an invented host costs only a look-up of its name.
 std::optional<Refusal> take_poses(World& world, const std::string& host_id, const Bytes& bytes) {
   const auto found = world.hosts.find(host_id);
   if (found == world.hosts.end()) {
@@ -51,7 +49,7 @@ std::optional<Refusal> take_poses(World& world, const std::string& host_id, cons
   return std::nullopt;
 }
 
-// The host's stretch of the one list of all hosts is replaced.
+// Replaces the host's part of the list of all obstacles.
 void replace_obstacles(World& world, const Host& of, std::vector<Obstacle>&& obstacles) {
   ptrdiff_t first = 0;
   for (const auto& [id, host] : world.hosts) {
@@ -90,7 +88,7 @@ std::optional<Refusal> take_budget(World& world, const Bytes& bytes) {
   return std::nullopt;
 }
 
-// Before it is checked whole, which is long.
+// Tests size and hash first, because the full check of an asset takes long.
 std::optional<Refusal> take_asset(World& world, const Bytes& bytes) {
   UploadedAsset asset;
   if (std::optional<Refusal> refusal = decode(bytes, world.limits, asset)) return refusal;

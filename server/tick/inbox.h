@@ -1,5 +1,5 @@
-// The messages of a tick, in the order in which they came. A bad one is refused whole, counted, answered if it was a query, and
-// changes nothing.
+// Reads the messages of a tick in the order in which they came. A bad message is refused whole: it is counted, answered if it
+// was a query, and changes nothing.
 #pragma once
 
 #include <cstddef>
@@ -15,20 +15,20 @@ namespace crumple {
 
 struct Host;
 
-// A query for a keyframe, which is answered when the tick is done.
+// A query for a keyframe. The tick answers it at its end.
 struct Asked {
   std::string key, car;
-  size_t level;  // of the surface
+  size_t level;  // surface level
   uint64_t ticket;
 };
 
 void read(World&, const Inbox&, Outbox&, std::vector<Asked>&);
 
-// The host of this id, new where there was none; null where there are too many.
+// Finds the host with this id, or adds it; null if there are too many hosts.
 Host* find_or_add_host(World&, const std::string& id);
-// Drops a host that has neither cars nor obstacles.
+// Removes the host if it has neither cars nor obstacles.
 void release_host(World&, const std::string& id);
-// Answers a query with a refusal or with ok; a sample (ticket 0) gets no answer. state: of a car that was saved.
+// Answers a query with a refusal or with ok; a sample (ticket 0) gets no answer. state: the answer to Save.
 void answer(const World&, const std::string& key, uint64_t ticket, const std::optional<Refusal>&, const Bytes& state,
             bool failed, Outbox&);
 

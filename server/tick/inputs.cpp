@@ -25,7 +25,7 @@ std::optional<TickInputs> read_inputs(std::span<const std::byte> bytes) {
   TickInputs out{from->tick(), from->hash(), {}};
   for (const auto* input : *from->inputs()) {
     const auto* payload = reinterpret_cast<const std::byte*>(input->payload()->data());
-    // Any ticket will do: it only asks for an answer.
+    // Any ticket but 0 will do: it only says that an answer is wanted.
     out.inbox.push_back({input->key()->str(), {payload, payload + input->payload()->size()}, input->is_query() ? 1u : 0u});
   }
   return out;

@@ -1,7 +1,7 @@
-// Levels: which of the baked meshes of a car its body is on. Chosen by the importance that the host gives, and only when
-// something comes near the car: until then no level costs anything, and a dent that is left alone loses no detail. Where what
-// may be hit would ask for more than the tick's budget, cars go to coarser levels than that, those first that cost most for
-// their importance: a coarse mesh that is solved is nearer to the truth than a fine one that is not.
+// Chooses the level (one of a car's baked meshes) of each body. The level follows the importance that the host gives. It
+// changes only when something comes near the car: until then no level costs anything, and a dent that is left alone loses no
+// detail. If the cars that may be hit would exceed the tick's budget, cars go to still coarser levels, costliest per importance
+// first: a coarse mesh that is solved is nearer to the truth than a fine mesh that is not.
 #include "tick/levels.h"
 
 #include <algorithm>
@@ -13,15 +13,15 @@
 namespace crumple {
 namespace {
 
-constexpr double notice = 0.5;       // s before something can touch the car that it changes its level
+constexpr double notice = 0.5;       // s: a car may change its level this long before something can touch it
 constexpr double shortest_stay = 1;  // s on one level
-constexpr double reluctance = 0.8;   // of the nodes that would call for this level, below which it is left for a coarser one
-constexpr double spare = 0.2;        // of the budget, that must be left over where a car is to go to a finer level
+constexpr double reluctance = 0.8;   // a car leaves its level for a coarser one if it wants less than this share of its nodes
+constexpr double spare = 0.2;        // share of the budget that must remain free before a car goes to a finer level
 
 size_t nodes(const Car& car) { return car.model.node.size(); }
 
-// Past the coarsest level that sees what is near: between nodes that are farther apart than a pole is wide it gets through, and
-// there is no dent.
+// One past the coarsest level that can see the nearest obstacle. An obstacle narrower than the edges would slip between the
+// nodes and leave no dent.
 Levels::const_iterator end_of_levels(const Instance& car) {
   const auto sees = [&](const auto& level) { return level->mean_edge <= car.width; };
   const auto blind = std::find_if_not(car.levels->begin(), car.levels->end(), sees);
@@ -37,7 +37,7 @@ Levels::const_iterator wanted(const Instance& car) {
   return found != end ? found : end - 1;
 }
 
-// Of two of one size, between which there is no map, the one with the lower hash.
+// Of two levels with equally many nodes, between which there is no map, the lower hash stays.
 void add_level(const std::shared_ptr<const Car>& car, Levels& levels) {
   const auto at = std::find_if(levels.begin(), levels.end(), [&](const auto& level) { return nodes(*level) <= nodes(*car); });
   if (at == levels.end() || nodes(**at) < nodes(*car)) {
@@ -87,7 +87,7 @@ void look_ahead(const World& world, Instance& car, bool woken) {
 std::vector<Instance*> choose_levels(const World& world, const std::vector<Instance*>& cars) {
   struct Choice {
     Instance* car;
-    size_t order;  // among equals
+    size_t order;  // breaks ties
     Levels::const_iterator level;
     double work;
   };
@@ -136,7 +136,7 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
   for (const Choice& choice : choices) {
     Instance& car = *choice.car;
     const auto &from = car.car, &to = *choice.level;
-    // Not to and fro where the budget has just room: each change loses some of the dents.
+    // No switching to and fro while the budget is nearly full: each change loses some detail of the dents.
     const bool blind = from->mean_edge > car.width;
     const bool worth_it = nodes(*to) < nodes(*from) || blind || world.budget == 0 || (car.ahead == Ahead::hit && room);
     if (to == from || !worth_it) continue;

@@ -1,4 +1,4 @@
-// Levels of a car: baked cars of one surface with fewer and fewer nodes. A car that nothing touches may change its level.
+// Levels of a car: baked cars of one surface with different numbers of nodes. A car that nothing touches may change its level.
 #pragma once
 
 #include <cstddef>
@@ -11,15 +11,15 @@
 
 namespace crumple {
 
-// A car that may be spawned from now on; to be called between ticks. Assets with the same surface are levels of one car.
+// Adds a car that hosts may spawn. Call it between ticks. Assets with the same surface are levels of one car.
 void add_asset(World&, std::shared_ptr<const Car>);
-// How many levels below it an asset has.
+// Number of levels coarser than this asset.
 size_t coarser_levels(const World&, const std::string& asset);
 
-// Finds what comes near the car, so that it may change its level. woken: in this very tick.
+// Finds what is about to touch the car, so that it may change its level. woken: an obstacle wakes the car in this tick.
 void look_ahead(const World&, Instance&, bool woken);
-// The cars that change their level now: to the one that the importance asks for, or to a coarser one that the budget has room
-// for.
+// Sets next_level of the cars that change their level now and returns these cars. The level follows from the car's importance,
+// or is a coarser one that fits the budget.
 std::vector<Instance*> choose_levels(const World&, const std::vector<Instance*>&);
 void change_level(const World&, Instance&, Worker&);
 

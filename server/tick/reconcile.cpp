@@ -30,7 +30,8 @@ Motion reconcile(const Motion& own, const Intent& intent, const ImpulseLog& log,
     const ImpulseLog::Change unseen = log.since(intent.seen, now);
     motion.velocity += unseen.velocity;
     motion.angular_velocity += unseen.angular_velocity;
-    // However far: where ticks are late in a crash, a host that has not heard of it yet is far ahead, and no teleport is meant.
+    // At any distance: if ticks are late in a crash, a host that has not yet received the reaction is far ahead without meaning
+    // a teleport.
     contact_wins = contact_wins || unseen.tick != 0;
   }
   if (contact_wins) motion.pose = own.pose;

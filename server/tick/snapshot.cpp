@@ -1,4 +1,4 @@
-// Numbers stand as this machine has them: whoever reads them runs the same program.
+// Numbers are written in this machine's format: only the same program reads them.
 #include "tick/snapshot.h"
 
 #define XXH_INLINE_ALL
@@ -16,8 +16,8 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 5;                       // to be counted up with every change of a field
-constexpr uint64_t latest_tick = uint64_t{1} << 53;  // whole in a double
+constexpr uint32_t format = 5;                       // increase it with every change of a field
+constexpr uint64_t latest_tick = uint64_t{1} << 53;  // the largest tick that a double holds exactly
 
 [[noreturn]] void refuse(const std::string& fact) { throw std::runtime_error("the snapshot of the world is damaged: " + fact); }
 
@@ -50,14 +50,14 @@ class Reader {
   void resize(List& list) {
     uint64_t size = 0;
     raw(&size, sizeof size);
-    // Not more than could be in the rest: damage must not ask for memory.
+    // Not more than the remaining bytes can hold: damaged bytes must not make us allocate memory.
     if (size > left.size() / sizeof(typename List::value_type))
       throw std::runtime_error("the snapshot of the world is cut off or damaged");
     list.resize(size);
   }
 };
 
-// ---- what the next tick relies on -------------------------------------------------------------------------------------------
+// ---- checks of what the next tick relies on ---------------------------------------------------------------------------------
 
 bool finite(const Eigen::Vector3d& v) { return v.allFinite(); }
 bool finite(const Pose& pose) { return finite(pose.position) && std::abs(pose.orientation.norm() - 1) < 1e-3; }
@@ -83,7 +83,7 @@ void check(const World& world, const Instance& car) {
   good = good && std::isfinite(mass.mass) && mass.mass > 0 && finite(mass.inertia) && mass.inertia.minCoeff() > 0;
   for (const ImpulseLog::Change& change : car.log.changes)
     good = good && finite(change.velocity) && finite(change.angular_velocity);
-  const StepResult& last = car.result;  // what the budget divides and doubles
+  const StepResult& last = car.result;  // the budget divides and doubles these numbers
   good = good && last.sweeps <= uint64_t{1000} * last.substeps && last.work <= uint64_t{max_tets} * last.sweeps;
   good = good && last.residual >= 0;
   const size_t shown = 3 * car.levels->front()->skin_node.size();
@@ -102,7 +102,7 @@ void check(const World& world) {
   for (const auto& [id, car] : world.cars) {
     check_id(id);
     check(world, car);
-    // Unlike in a State any shape may be: a body that was thrown apart is a part of the world too.
+    // Unlike in a State any shape is good: a body that was torn apart is a part of the world too.
     if (refuse_fields(car.car->model, car.body, false)) refuse("a body does not fit its car");
     ++cars[car.host];
   }
@@ -129,7 +129,7 @@ const Levels& levels_of(const World& world, const std::string& asset) {
   return *found;
 }
 
-// hash of a body as baked, by asset.
+// Hash of the undamaged body, by asset.
 using Pristine = std::map<std::string, uint64_t>;
 
 void save(Writer& file, const std::string& id, const Instance& car, Pristine& pristine) {
@@ -186,7 +186,7 @@ uint64_t sum_of(std::span<const std::byte> bytes) { return XXH64(bytes.data(), b
 
 std::vector<std::byte> save_world(const World& world) {
   Writer file;
-  uint64_t sum = 0;  // of all behind it
+  uint64_t sum = 0;  // checksum of all bytes behind it
   field(file, format, world.rate, world.quantum, sum);
   const size_t begin = file.bytes.size();
   const std::vector<std::string> assets = assets_of(world);

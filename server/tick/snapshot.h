@@ -1,4 +1,4 @@
-// A whole world as bytes: what a server that stands by begins with, and a recording that does not begin with an empty world.
+// A whole world as bytes. A standby starts from it, and so does a recording that begins while cars are there.
 #pragma once
 
 #include <span>
@@ -7,15 +7,15 @@
 
 namespace crumple {
 
-// Everything that the next tick depends on; between ticks. Bodies that are as baked take no room.
+// Saves everything that the next tick depends on. Call it between ticks. Undamaged bodies take no room.
 std::vector<std::byte> save_world(const World&);
 
-// Puts it in place of what the world holds; the next ticks are the same, bit for bit. The world needs the same assets
-// (add_asset), rate and quantum. Throws std::runtime_error with one sentence, and the world is then empty: the bytes are
-// damaged, of another format, or name an asset that is not here. Whatever is loaded, ticks can be made of.
+// Replaces the world by the saved one; the next ticks are the same, bit for bit. The world needs the same assets (add_asset),
+// rate and quantum. Throws std::runtime_error with one sentence if the bytes are damaged, have another format, or name an
+// unknown asset; the world is then empty. Any world that loads can compute ticks.
 void load_world(std::span<const std::byte>, World&);
 
-// The same for bytes whose sum was not made by save_world: tests make up worlds with it. Returns whether the sum is right.
+// The same, but accepts a wrong checksum: tests build worlds with it. Returns whether the checksum is right.
 bool load_unsummed_world(std::span<const std::byte>, World&);
 
 }  // namespace crumple

@@ -1,4 +1,4 @@
-// What the server keeps between ticks. Cars and hosts stand in the order of their ids, and every loop over them runs in it.
+// The state that the server keeps between ticks. Cars and hosts are sorted by id, and every loop over them runs in this order.
 #pragma once
 
 #include <tbb/enumerable_thread_specific.h>
@@ -22,55 +22,55 @@
 
 namespace crumple {
 
-// An asset, and the others of the same surface with fewer nodes, in descending order.
+// An asset, then its coarser levels: the assets with the same surface and fewer nodes, in descending order.
 using Levels = std::vector<std::shared_ptr<const Car>>;
 
-// What is about to touch a car that nothing touches: something that stands still beside it, or something that may hit it.
+// What is about to touch a free car: nothing, something that stands still beside it, or something that may hit it.
 enum class Ahead : uint8_t { nothing, neighbour, hit };
 
 struct Instance {
-  const Levels* levels = nullptr;  // front: as spawned, and the asset that viewers are told of; the surface is the same
+  const Levels* levels = nullptr;  // front: the spawned asset, which viewers see; all have its surface
   std::shared_ptr<const Car> car;  // the level that the body is on
-  uint64_t level_tick = 0;         // in which it came to it
-  float importance = 1;            // as its host said last
-  std::string host;                // whose poses move it
+  uint64_t level_tick = 0;         // tick in which the body came to this level
+  float importance = 1;            // last value from its host
+  std::string host;                // whose poses move the car
   Mass mass;
   Parameters parameters;
   DeformableState body;
   Motion motion;
   ImpulseLog log;
-  uint64_t touched_tick = 0;  // the last in which an obstacle touched it; 0: never
-  // Hashes of what is large, kept because most cars are idle in most ticks; keyframe and latest of each surface level.
+  uint64_t touched_tick = 0;  // last tick in which an obstacle touched it; 0: never
+  // Hashes of the large parts, kept because most cars are idle in most ticks; keyframe and latest per surface level.
   struct {
     uint64_t body = 0, log = 0;
     std::array<uint64_t, surface_levels.size()> keyframe{}, latest{};
   } hashes;
   std::array<ViewerState, surface_levels.size()> told;
-  // The last ticks', from which this one's share of the budget follows.
-  uint16_t sweeps = 0;    // of a sub-step, that it may make at most
-  uint16_t substeps = 0;  // in 1/60 s, as its parameters have them or fewer
+  // Limits and result of the last tick; the budget of this tick follows from them.
+  uint16_t sweeps = 0;    // most sweeps per sub-step
+  uint16_t substeps = 0;  // in 1/60 s: as the parameters say, or fewer
   StepResult result;
-  uint8_t fresh = 0;  // ticks in which more of it may take part than did in the last one: it is being woken
-  // The last tick could change nothing of it, and nothing that it depends on has changed since: nor does this one.
+  uint8_t fresh = 0;  // ticks left in which more of the body may wake than was awake in the last one
+  // True if the last tick left the car unchanged and none of its inputs has changed since, so this tick can be skipped.
   bool idle = false;
-  // Of one tick.
+  // Used within one tick:
   std::optional<Intent> intent;  // the latest; consumed
   Ahead ahead = Ahead::nothing;
-  float width = 0;                        // of the narrowest obstacle that is near, m
-  std::shared_ptr<const Car> next_level;  // that it comes to; null: it stays
-  bool changed = false;                   // it came to another
-  uint64_t order = 0;                     // among the cars of the scene, by their ids
+  float width = 0;                        // width of the narrowest near obstacle, m
+  std::shared_ptr<const Car> next_level;  // the level to change to; null: no change
+  bool changed = false;                   // its level changed in this tick
+  uint64_t order = 0;                     // position among the scene's cars, sorted by id
   std::array<SurfaceUpdate, surface_levels.size()> news;
 };
 
-// A host lives as long as it has cars or obstacles; its sequence numbers are forgotten with it.
+// A host exists as long as it has cars or obstacles. Its sequence numbers are forgotten with it.
 struct Host {
   std::optional<uint64_t> poses_sequence, obstacles_sequence;  // of the last message
   uint32_t cars = 0;
-  uint32_t obstacles = 0;  // in World::obstacles, behind those of the hosts before it
+  uint32_t obstacles = 0;  // number of its obstacles; in World::obstacles they follow the obstacles of the hosts before it
 };
 
-// Times of a room over the ticks since the last health.
+// Parts of a tick whose times health reports.
 enum class Stage : uint8_t { decode, contacts, solve, flow, surface, tick };
 inline constexpr std::array stage_names = {"decode", "contacts", "solve", "flow", "surface", "tick"};
 using StageTimes = std::array<double, stage_names.size()>;  // s
@@ -80,12 +80,12 @@ struct Tally {
   std::string last_refusal;
   uint64_t messages = 0;
   uint64_t contact_overflows = 0;    // car ticks in which a node met too many obstacles
-  uint64_t recoveries = 0;           // car ticks that ended non-finite and were undone
-  uint64_t shed = 0, work_shed = 0;  // tet visits asked for and not allowed: in the last tick, in all
+  uint64_t recoveries = 0;           // car ticks that ended with a number that is not finite and were undone
+  uint64_t shed = 0, work_shed = 0;  // tet visits asked for but not allowed: in the last tick, in all ticks
   uint64_t work = 0;                 // tet visits of the last tick
   // Since the last health:
-  uint64_t most_work = 0;                       // of a tick
-  double residual_sum = 0, residual_worst = 0;  // m, of the cars that were solved
+  uint64_t most_work = 0;                       // of one tick
+  double residual_sum = 0, residual_worst = 0;  // m, over the solved cars
   uint64_t solved = 0;                          // car ticks
   uint64_t ticks = 0;
   StageTimes now{}, sum{}, worst{};
@@ -94,7 +94,7 @@ struct Tally {
 // A worker's memory, reused from car to car.
 struct Worker {
   ScratchHandle scratch = make_scratch();
-  std::vector<Vec3> displaced;  // nodes of the skin, from rest, m
+  std::vector<Vec3> displaced;  // displacements of the skin's nodes, m
   std::vector<int16_t> displacement;
   StageTimes times{};
 };
@@ -103,28 +103,28 @@ struct World {
   double rate = 60;         // ticks a second
   float quantum = 0.0005f;  // m
   Limits limits;
-  uint64_t budget = 0;                                                 // tet visits a tick; 0: as many as are asked for
+  uint64_t budget = 0;                                                 // tet visits per tick; 0: no limit
   std::map<std::string, Levels> assets;                                // by hash
-  std::list<Levels> uploaded;                                          // by who plays, the oldest first: of one level each
-  std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // by hashes: from, to
-  uint64_t tick = 0;                                                   // ticks done, or the one being done
+  std::list<Levels> uploaded;                                          // uploaded assets, the oldest first; one level each
+  std::map<std::pair<std::string, std::string>, LevelMap> level_maps;  // keys: hashes of the two meshes, from and to
+  uint64_t tick = 0;                                                   // number of ticks done, the current one included
   std::map<std::string, Instance> cars;
   std::map<std::string, Host> hosts;
-  std::vector<Obstacle> obstacles;  // of all hosts: by host, then by id
+  std::vector<Obstacle> obstacles;  // of all hosts, sorted by host, then by id
   bool obstacles_changed = true;    // since the last tick
 
   Tally tally;
-  TickResult result;  // of the tick being done
+  TickResult result;  // of the current tick
   std::function<double()> clock;
   std::optional<tbb::task_arena> arena;
   int arena_threads = 0;
   tbb::enumerable_thread_specific<Worker> workers;
 };
 
-// Viewers are told of the car anew in the next tick.
+// Sends viewers a keyframe of the car in the next tick.
 void renew(Instance&);
 
-// Seconds from construction to destruction, added to a room's time; nothing without a clock.
+// Adds the seconds from construction to destruction to `seconds`; does nothing without a clock.
 struct Watch {
   const std::function<double()>& clock;
   double& seconds;

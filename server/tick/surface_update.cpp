@@ -7,7 +7,7 @@ namespace crumple {
 void quantise(std::span<const Vec3> displacement, float quantum, std::span<int16_t> quanta) {
   static_assert(sizeof(Vec3) == 3 * sizeof(float));
   const auto* from = reinterpret_cast<const float*>(displacement.data());
-  // Away from zero by hand: std::round, fmin and fmax are calls.
+  // Rounds away from zero by hand: std::round, fmin and fmax are function calls.
   for (size_t i = 0; i < 3 * displacement.size(); ++i) {
     const float number = from[i] / quantum;
     const float high = number > -32767.0f ? number : -32767.0f;  // also for NaN

@@ -1,5 +1,5 @@
-// Baked cars that came while the world runs: a car that was painted anew is driven without a new server. They are no levels of
-// others, so that what lives is not changed by what comes.
+// Baked cars that arrive while the world runs, so that a newly painted car can be driven without restarting the server. They do
+// not become levels of other assets, so they do not change living cars.
 #include "tick/uploads.h"
 
 #include <algorithm>
@@ -9,7 +9,7 @@
 namespace crumple {
 namespace {
 
-// Whoever may command may give, again and again: so many are kept (the size of one: largest_upload, world.h).
+// Anybody who may send commands may upload again and again, so uploads are limited. The size of one: largest_upload, uploads.h.
 constexpr size_t upload_count_limit = 16, upload_size_limit = size_t{64} << 20;  // cars; bytes of their files together
 
 bool drives(const World& world, const Levels& levels) {

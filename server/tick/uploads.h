@@ -1,4 +1,4 @@
-// Baked cars that come by messages while the scene runs.
+// Baked cars that arrive in messages while the scene runs.
 #pragma once
 
 #include <cstddef>
@@ -11,13 +11,13 @@
 
 namespace crumple {
 
-// Bytes of one: a car of 20,000 nodes. A tick that takes one of 5,000 nodes is some 5 ms longer.
+// Bytes of the largest upload: a car of 20,000 nodes. Taking one of 5,000 nodes makes a tick some 5 ms longer.
 inline constexpr size_t largest_upload = size_t{8} << 20;
 
 std::vector<std::shared_ptr<const Car>> uploaded_cars(const World&);
-// One more that may be spawned. The oldest that no car is made of make room for it.
+// Adds an asset that hosts may spawn. The oldest uploads that no car uses are removed to make room.
 [[nodiscard]] std::optional<Refusal> upload(World&, std::shared_ptr<const Car>);
-// Levels of an asset; null where it is unknown.
+// The levels of an asset; null if the asset is unknown.
 const Levels* find_asset(const World&, const std::string& hash);
 
 }  // namespace crumple

@@ -1,4 +1,4 @@
-// The tick. Messages in; every car one tick on, side by side; then, in the order of their ids, what viewers and hosts are told.
+// The tick: reads the messages, advances every car in parallel, then writes messages for viewers and hosts in the order of ids.
 #include "tick/world.h"
 
 #include <tbb/parallel_for.h>
@@ -20,9 +20,9 @@ namespace crumple {
 namespace {
 
 constexpr uint64_t reaction_echo =
-    30;  // ticks after the last touch in which a host is still told: one lost reaction is no loss
+    30;  // a host receives reactions for this many ticks after the last touch, so losing one does no harm
 
-constexpr uint8_t waking = 3;  // ticks in which what an obstacle has touched spreads over the body
+constexpr uint8_t waking = 3;  // ticks that a touch takes to spread over the body
 
 class RoomTimer final : public Timer {
  public:
@@ -46,7 +46,7 @@ bool touched(const StepResult& result) {
   return result.contacts > 0 || result.deepest > 0 || !result.impulse.isZero(0) || !result.angular_impulse.isZero(0);
 }
 
-// Where the tick starts from: the motion after what the host has sent.
+// Sets the motion from which the tick starts, from the host's intent.
 void receive(const World& world, Instance& car) {
   if (!car.intent) return;
   const bool touching = car.touched_tick != 0 && car.touched_tick + 1 == world.tick;
@@ -54,7 +54,7 @@ void receive(const World& world, Instance& car) {
   car.intent.reset();
 }
 
-// The rigid motion and the body, one tick on.
+// Advances the rigid motion and the body by one tick.
 void move(const World& world, Instance& car, Worker& worker) {
   const Motion before = car.motion;
   RoomTimer timer(world.clock, worker.times);
@@ -72,8 +72,7 @@ void move(const World& world, Instance& car, Worker& worker) {
   if (touched(car.result)) car.touched_tick = world.tick;
 }
 
-// What the nodes that the skin of the spawned car uses are displaced by; where the body is on another level, by where that one
-// takes them.
+// Displacements of the nodes that the spawned car's skin uses. If the body is on another level, that level's mesh carries them.
 void displace_shown(const World& world, const Instance& car, std::vector<Vec3>& out) {
   const Car& shown = *car.levels->front();
   out.resize(shown.skin_node.size());
@@ -86,14 +85,14 @@ void displace_shown(const World& world, const Instance& car, std::vector<Vec3>& 
 
 float quantum_of(const World& world, size_t level) { return world.quantum * float(surface_levels[level].quanta); }
 
-// What its viewers are to be told of the car.
+// Prepares the messages for the car's viewers.
 void show(const World& world, Instance& car, Worker& worker) {
   const Watch watch(world.clock, worker.times[size_t(Stage::surface)]);
   displace_shown(world, car, worker.displaced);
   worker.displacement.resize(3 * worker.displaced.size());
   for (size_t level = 0; level < surface_levels.size(); ++level) {
     ViewerState& told = car.told[level];
-    // In turns, by their order. What has come to rest does not wait for its turn: it may have none for long.
+    // Cars take turns by their order. A car that has come to rest does not wait: its next turn may be long after.
     const bool its_turn = (world.tick + car.order) % surface_levels[level].ticks == 0;
     if (!its_turn && !car.body.settled && !told.due) continue;
     const float quantum = quantum_of(world, level);
@@ -106,7 +105,7 @@ void show(const World& world, Instance& car, Worker& worker) {
   }
 }
 
-// Where the car stands, and whether it will take part.
+// Finds the car's motion, and whether it will be solved.
 void prepare_car(const World& world, Instance& car, Worker& worker) {
   car.idle = car.idle && !world.obstacles_changed;
   if (car.idle) return;
@@ -123,7 +122,7 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
   }
 }
 
-// What may change of a body that is not solved: an obstacle that it rests against goes on or leaves.
+// The fields that may change in a body that is not solved: an obstacle that it rests against moves on or leaves.
 auto of_rest(const DeformableState& body) {
   return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment);
 }
@@ -144,7 +143,7 @@ void advance_car(const World& world, Instance& car, Worker& worker) {
   car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
 }
 
-// Cars know nothing of each other within a tick, so any number of workers gives the same.
+// Cars do not affect each other within a tick, so any number of workers gives the same result.
 template <class Step>
 void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_once, const Step& step) {
   world.arena->execute([&] {
@@ -152,7 +151,7 @@ void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_on
         tbb::blocked_range<size_t>(0, cars.size(), at_once),
         [&](const tbb::blocked_range<size_t>& range) {
           Worker& worker = world.workers.local();
-          // While a car waits for its helpers this thread must not begin another car with the same memory.
+          // While a car waits for its helpers, this thread must not start another car with the same memory.
           tbb::this_task_arena::isolate([&] {
             for (size_t i = range.begin(); i < range.end(); ++i) step(world, *cars[i], worker);
           });
@@ -183,7 +182,7 @@ void open_arena(World& world, int threads) {
   world.arena_threads = threads;
 }
 
-// A tick of an undamaged car with a wall at its nose. Returns its work.
+// One tick of an undamaged car with a wall at its nose. Returns the work.
 uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
   DeformableState body = make_body(car.model);
   Motion motion;
@@ -245,7 +244,7 @@ void tell_hosts(const World& world, Outbox& outbox) {
   }
 }
 
-// The keyframe that the deltas refer to, whole: an answer may be longer than a sample.
+// Answers with the keyframe to which the deltas refer, in one part: an answer may be longer than a sample.
 void answer_asked(World& world, const std::vector<Asked>& asked, Outbox& outbox) {
   for (const Asked& one : asked) {
     const auto found = world.cars.find(one.car);
@@ -278,7 +277,7 @@ void close_tally(Tally& tally) {
 uint64_t warm_up(World& world, int threads) {
   threads = std::max(1, threads);
   open_arena(world, threads);
-  std::vector<uint64_t> work(size_t(threads), 0);  // by turn: one a thread
+  std::vector<uint64_t> work(size_t(threads), 0);  // one entry per thread
   world.arena->execute([&] {
     tbb::parallel_for(
         tbb::blocked_range<int>(0, threads, 1),

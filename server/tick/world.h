@@ -1,5 +1,5 @@
-// The tick: bytes in, bytes out. A function of (world, inbox): it knows no clock, socket, file or thread count that could
-// change its answer, so serve, replay, tests and benchmarks all call the same one.
+// The tick: bytes in, bytes out. It is a function of (world, inbox): no clock, socket, file or thread count can change its
+// result, so serve, replay, tests and benchmarks all call the same one.
 #pragma once
 
 #include <functional>
@@ -12,16 +12,16 @@
 
 namespace crumple {
 
-// One message as it came: the key below crumple/1/{scene}/ (such as "host/game/poses") and the payload.
+// One received message: the key below crumple/1/{scene}/ (such as "host/game/poses") and the payload.
 struct Message {
   std::string key;
   std::vector<std::byte> bytes;
-  uint64_t ticket = 0;  // of a query, given back with its answer; 0 for samples
-  bool failed = false;  // of an answer: a schema Answer with the reason, where something else was asked for
+  uint64_t ticket = 0;  // of a query, repeated in its answer; 0 for samples
+  bool failed = false;  // of an answer: the bytes are a schema Answer with the reason, not the reply asked for
 };
 
 using Inbox = std::vector<Message>;
-// What a tick gives back: samples to publish, and answers (ticket != 0) to the queries of the inbox.
+// The results of a tick: samples to publish, and answers (ticket != 0) to the queries of the inbox.
 using Outbox = std::vector<Message>;
 
 struct World;  // cars, hosts, obstacles, counters: server/tick/state.h
@@ -30,39 +30,39 @@ struct WorldDeleter {
 };
 using WorldHandle = std::unique_ptr<World, WorldDeleter>;
 
-// rate: ticks a second. quantum: of the surface, m.
+// rate: ticks a second. quantum: unit of surface displacements, m.
 WorldHandle make_world(double rate, float quantum, const Limits& = {});
-// Lets every worker of the tick crash a car of each asset that nobody keeps: the memory that it takes is there before the first
-// tick that needs it, which would be twice as long otherwise. No influence on the outcome. Returns the work that it did, as of
-// Work::done: timed the second time, it says how fast this machine is.
+// Lets every worker crash a temporary car of each asset. This allocates its memory before the first tick that needs it; that
+// tick would otherwise take twice as long. It does not change any result. Returns the work done, in the unit of Work::done:
+// timed on a second call, it shows how fast this machine is.
 uint64_t warm_up(World&, int threads);
 
-// What a tick came to, and what it would have come to beyond that without a budget: tet visits of sweeps, and what else a
-// crashing car takes, counted in those.
+// The work of a tick (done), and the work that the budget cut from it (shed), in tet visits of sweeps. All other work of a
+// crashing car is converted to tet visits.
 struct Work {
   uint64_t done = 0, shed = 0;
 };
 
-// What a tick did to the list of cars: ids in the order of its commands. A car that was despawned and spawned anew is in both
-// lists; one that came and went within the tick is in none.
+// What a tick changed in the list of cars: ids in the order of its commands. A car that was despawned and spawned again is in
+// both lists; a car that was spawned and despawned within the tick is in none.
 struct TickResult {
   std::vector<std::string> spawned, despawned, replaced;
   Work work;
 };
 
-// One tick; what was in the outbox goes. `threads`: TBB workers over cars, no influence on the outcome.
+// Computes one tick. Clears the outbox first. `threads`: TBB workers over cars; they do not change the result.
 TickResult tick(World&, const Inbox&, Outbox&, int threads);
-// Viewers are told of every car anew in the next tick: a server has taken over.
+// Sends viewers a keyframe of every car in the next tick, because another server has taken over.
 void renew(World&);
-// The keyframes of all cars that the next deltas refer to: samples.
+// Writes the keyframes to which the next deltas of all cars refer, as samples.
 void shown(const World&, Outbox&);
-// Ids of the cars that live, and of the hosts that have cars or obstacles.
+// Ids of the living cars, and of the hosts that have cars or obstacles.
 std::vector<std::string> cars(const World&);
 std::vector<std::string> hosts(const World&);
-// Ticks done. The first is 1, so that 0 can stand for none.
+// Number of ticks done. The first tick is 1, so 0 can mean none.
 uint64_t tick_count(const World&);
-// Times in health come from this clock: seconds since any start; several threads ask it at once. Without one there are no
-// times.
+// Sets the clock for the times in health: seconds since any moment. Several threads call it at once. Without a clock health has
+// no times.
 void set_clock(World&, std::function<double()> clock);
 
 }  // namespace crumple

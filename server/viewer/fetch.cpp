@@ -7,7 +7,7 @@
 #include "protocol/asset.h"
 #include "protocol/key.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 namespace {
 
 bool ask_for_piece(Fetching& all, const std::string& hash, Fetching::Asset& asset, Time now) {
@@ -87,4 +87,4 @@ std::optional<AssetNews> Fetching::end(uint64_t ticket) {
   return fail(asset, hash, "the server did not answer with asset " + hash);
 }
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

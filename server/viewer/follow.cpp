@@ -1,17 +1,25 @@
 #include "viewer/follow.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "schema/message_generated.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 namespace {
 
 using Entry = std::pair<const std::string, FollowedCar>;
 
-// Asks at once, but waits before it asks again if the last answer brought nothing.
+// Whether another question may be put now. A car of which something has come is asked for at once.
+bool may_ask(const Following& all, const FollowedCar& car) {
+  return all.tickets.size() < questions_limit || car.last != Time{} || !car.surface.quanta.empty();
+}
+
+// Asks at once, but waits before it asks again if the last answer brought nothing: each time twice as long.
 void ask_for_keyframe(Following& all, const std::string& id, FollowedCar& car, Time now) {
-  if (car.asking || (car.owed && now - car.asked < ask_again)) return;
+  if (car.asking || (car.owed && now - car.asked < car.pause)) return;
+  if (!may_ask(all, car)) return;  // ask_due() tries again
+  car.pause = car.owed ? std::min(2 * car.pause, longest_pause) : ask_again;
   car.owed = true;
   car.asking = all.ask(all.root + "car/" + id + "/key/" + std::to_string(car.level), {}, keyframe_patience);
   if (!car.asking) return;
@@ -20,7 +28,7 @@ void ask_for_keyframe(Following& all, const std::string& id, FollowedCar& car, T
   car.unsure = false;
 }
 
-// Forgets an earlier question: its answer, if one comes, says nothing about now.
+// Forgets an earlier question: its answer would say nothing about the present.
 void forget_question(Following& all, FollowedCar& car) {
   all.tickets.erase(std::exchange(car.asking, 0));
   car.owed = false;
@@ -32,7 +40,7 @@ void begin_anew(Following& all, FollowedCar& car) {
   forget_question(all, car);
 }
 
-// Gives the car of this id if the viewer follows it; a viewer that follows all takes any.
+// Returns the car with this id if the viewer follows it. A viewer that follows all cars adds it.
 Entry* followed(Following& all, std::string_view id) {
   auto at = all.cars.find(id);
   if (at == all.cars.end()) {
@@ -46,7 +54,7 @@ Entry* followed(Following& all, std::string_view id) {
 void change_level(Following& all, const std::string& id, FollowedCar& car, int level, Time now) {
   if (car.level == level) return;
   car.level = level;
-  car.surface.key.clear();  // because no delta of this level is against it
+  car.surface.key.clear();  // no delta of the new level refers to it
   begin_anew(all, car);
   if (car.alive) ask_for_keyframe(all, id, car, now);
 }
@@ -54,7 +62,7 @@ void change_level(Following& all, const std::string& id, FollowedCar& car, int l
 SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked_for, std::span<const uint8_t> bytes,
                          Time now) {
   auto& [id, car] = entry;
-  // Ticks of an earlier car of this id, of an earlier owner or of another level cannot be compared with those of this one.
+  // Ticks of an earlier car with this id, an earlier owner or another level cannot be compared with the present ones.
   Surface& surface = car.fresh && keyframe ? car.coming : car.surface;
   if (asked_for) surface.key_parts = {};
   const uint64_t key_before = surface.key.empty() ? 0 : surface.key_tick;
@@ -71,8 +79,8 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
   return {&id, &car, std::move(outcome), asked_for, counts};
 }
 
-// The viewer may hold surfaces of one owner and get messages of another. If both were there for a moment, no token of the scene
-// or of its cars has gone, so it asks for everything anew.
+// Another owner appeared. The viewer may hold surfaces of one owner and receive messages of the other. If both were there for a
+// moment, no token of the scene or of its cars has gone. So the viewer asks for all keyframes again.
 void another_owner(Following& all, Time now) {
   for (auto& [id, car] : all.cars) {
     if (!car.alive) continue;
@@ -86,7 +94,7 @@ void another_owner(Following& all, Time now) {
 void Following::follow(const std::string& id, int wanted, Time now) {
   FollowedCar& car = cars.try_emplace(id).first->second;
   change_level(*this, id, car, wanted, now);
-  ask_for_keyframe(*this, id, car, now);  // before its token can come
+  ask_for_keyframe(*this, id, car, now);  // even before its token comes
 }
 
 void Following::follow_all(int wanted, Time now) {
@@ -104,7 +112,7 @@ void Following::forget(std::string_view id) {
 SurfaceNews Following::take_sample(const Key& key, std::span<const uint8_t> bytes, Time now) {
   if (key.channel != Channel::keyframe && key.channel != Channel::delta) return {};
   Entry* entry = followed(*this, key.id);
-  // Of a level that the viewer left, or to all others.
+  // The sample is of a level that the viewer has left, or no car that it follows.
   if (!entry || key.number != static_cast<uint64_t>(entry->second.level)) return {};
   entry->second.last = now;
   return take_surface(*this, *entry, key.channel == Channel::keyframe, false, bytes, now);
@@ -118,14 +126,14 @@ void Following::take_token(const Key& key, bool alive, Time now) {
   const bool asked = alive && !car.alive && (car.asking || !car.fresh);  // the viewer asked before the token came
   car.alive = alive;
   car.gone = !alive;
-  car.doubtful = false;  // the viewer asks a new car for its keyframe anyway
+  car.doubtful = false;  // the viewer asks for a new car's keyframe anyway
   if (asked) return;
-  begin_anew(*this, car);  // the next car of this id has not got the question
+  begin_anew(*this, car);  // the next car of this id did not get the question
   if (alive) ask_for_keyframe(*this, id, car, now);
 }
 
-// Asks for the keyframe of each car of which the server has sent something newer than the viewer holds, unless that may still
-// be on its way.
+// Asks for the keyframe of each car for which the server has sent something newer than the viewer's surface, unless that may
+// still be on its way.
 void Following::take_health(const schema::Health& message, Time now) {
   if (!message.told()) return;
   for (const auto* told : *message.told()) {
@@ -163,9 +171,9 @@ void Following::doubt(Time now) {
 
 void Following::ask_due(Time now) {
   for (auto& [id, car] : cars) {
-    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > ask_again;
+    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > car.pause;
     if (unanswered || (car.unsure && now - car.last > silence)) ask_for_keyframe(*this, id, car, now);
   }
 }
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

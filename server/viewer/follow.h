@@ -1,6 +1,6 @@
-// Follows cars. It takes samples, tokens, answers, and what `health` says that the server told. It gives the surfaces, and asks
-// for keyframes that are missing. While a car has its token, and its surface is not known to be the newest, the viewer asks for
-// the keyframe again and again. What an earlier car of this id, another owner or another level told does not count.
+// Follows cars. In: samples, tokens, answers, and the list in `health` of what the server has sent. Out: the surfaces, and
+// questions for missing keyframes. While a car has its token and its surface may not be the newest, the viewer asks for the
+// keyframe again and again. Messages of an earlier car with this id, another owner or another level do not count.
 #pragma once
 
 #include <cstddef>
@@ -16,55 +16,62 @@ namespace crumple::schema {
 struct Health;
 }
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 // After this long without a keyframe the viewer asks for it again.
 inline constexpr std::chrono::milliseconds keyframe_patience{3000};
-// After this long without a message of a car the viewer asks for its keyframe, once: the last delta or keyframe may have been
-// lost, and an idle car sends nothing.
+// After this long without a message about a car the viewer asks for its keyframe, once: the last delta or keyframe may have
+// been lost, and an idle car sends nothing.
 inline constexpr std::chrono::milliseconds silence{500};
-// If a car sent something less than this before a message of health, that may still be on its way.
+// A message that the server sent less than this before a health message may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
-// Anyone who may publish can invent cars. A viewer that follows all cars follows so many: four scenes have as many.
+// Anyone who may publish can invent cars, so a viewer that follows all cars follows at most this many: as many as four scenes
+// have.
 inline constexpr size_t cars_limit = 4'096;
-// A subscription to surfaces or reactions keeps so many samples until they are polled, of so many bytes each: a part of a
-// surface has 64,000 at most, reactions of 1,000 cars have 200,000.
+// Anyone who may publish tokens can also make each viewer ask for 4,096 cars that are not there: with eight viewers at a router
+// that deafened it for 26 s. So a viewer waits for so many answers at a time, unless something of the car has come already; and
+// it asks less and less often for a keyframe that does not come.
+inline constexpr size_t questions_limit = 64;
+inline constexpr std::chrono::milliseconds longest_pause{8000};
+// A subscription to surfaces or reactions keeps at most this many samples until they are polled, of at most this many bytes
+// each: a part of a surface has at most 64,000, reactions of 1,000 cars have 200,000.
 inline constexpr uint32_t samples_waiting = 4'096;
 inline constexpr size_t sample_limit = size_t{1} << 20;
-inline constexpr int none = -1;  // of the surface levels
+inline constexpr int none = -1;  // no surface level
 
 struct FollowedCar {
   Surface surface;
-  Surface coming;  // while `fresh`: the parts that have come of the surface that will replace it
+  Surface coming;  // while `fresh`: the received parts of the surface that will replace `surface`
   int level = 0;
-  bool alive = false;     // the car has a token
-  bool gone = false;      // the car had a token, which went; a keyframe may come before a token
+  bool alive = false;     // the car has its token
+  bool gone = false;      // the car had its token and lost it; a keyframe may come before a token
   bool unsure = false;    // a message came after the viewer last asked for a keyframe
-  bool doubtful = false;  // after a pause: the surface counts only after the answer to `asking`
-  bool owed = false;      // the viewer asked for a keyframe, which has not come
-  bool fresh = true;      // the car, its owner or its level is a new one: the next keyframe counts whatever its tick
+  bool doubtful = false;  // after a pause: the surface does not count before the answer to `asking`
+  bool owed = false;      // the viewer asked for a keyframe that has not come
+  bool fresh = true;      // the car, its owner or its level is new: the next keyframe counts, whatever its tick
   Time asked{};           // when the viewer last asked for its keyframe
-  uint64_t asking = 0;    // ticket of the question for the keyframe; 0: none
-  Time last{};            // of its last message
+  std::chrono::milliseconds pause = ask_again;  // before it asks again
+  uint64_t asking = 0;                          // ticket of the question for the keyframe; 0: none
+  Time last{};                                  // when its last message came
 };
 
-// What a keyframe or a delta did.
+// The effect of a keyframe or a delta.
 struct SurfaceNews {
-  const std::string* id = nullptr;  // null: the viewer does not follow the car, or not on this level
+  const std::string* id = nullptr;  // null: the viewer does not follow this car, or not at this level
   FollowedCar* car = nullptr;
   Outcome outcome{};
   bool asked_for = false;
-  bool counts = false;  // later messages build on it, so whoever else follows the car needs it
+  bool counts = false;  // later messages refer to it, so everybody else who follows the car needs it
 };
 
 struct Following {
   std::string root;  // of the scene's keys
   Ask ask;
-  int level = none;  // of all cars, also of those to come; none: the viewer follows only those in `cars`
+  int level = none;  // of all cars, present and future; none: the viewer follows only those in `cars`
   std::map<std::string, FollowedCar, std::less<>> cars = {};
-  std::map<uint64_t, std::string> tickets = {};  // of questions: the id of the car
+  std::map<uint64_t, std::string> tickets = {};  // ticket of a question -> id of the car
 
-  // Follows one car, or all, on this level.
+  // Follows one car, or all cars, at this level.
   void follow(const std::string& id, int level, Time now);
   void follow_all(int level, Time now);
   void forget(std::string_view id);
@@ -74,10 +81,10 @@ struct Following {
   void take_health(const schema::Health&, Time now);
   SurfaceNews take_reply(uint64_t ticket, std::span<const uint8_t>, bool failed, Time now);
   void end(uint64_t ticket);  // no more answers come
-  // After a pause, seconds of old messages wait. The answer to a question that is put now comes after all of them.
+  // Call it after a pause, when seconds of old messages wait. Asks for every keyframe now: that answer comes after all of them.
   void doubt(Time now);
-  // Asks again where no answer came, and where a car is silent. To be called after each poll.
+  // Repeats unanswered questions, and asks about silent cars. Call it after each poll.
   void ask_due(Time now);
 };
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

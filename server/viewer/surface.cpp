@@ -1,5 +1,5 @@
-// Decodes keyframes and deltas. The verifier of FlatBuffers bounds every offset. This file checks what the verifier cannot know
-// (counts that must fit each other, ranges in the surface) before it writes anything.
+// Decodes keyframes and deltas. FlatBuffers' verifier checks every offset. This file checks what the verifier cannot know
+// (counts that must agree, ranges within the surface) before it writes anything.
 #include "viewer/surface.h"
 
 #include <algorithm>
@@ -10,12 +10,12 @@
 #include "protocol/surface_codec.h"
 #include "schema/message_generated.h"
 
-namespace crumple::client {
+namespace crumple::viewer {
 namespace {
 
 Outcome refuse(std::string why) { return {Applied::refused, std::move(why)}; }
 
-// Begins to gather another tick, from `base` (empty: zeros), unless the part belongs to the tick that is being gathered.
+// Starts to gather the parts of another tick, from `base` (null: zeros), unless the part belongs to the tick being gathered.
 void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathering& parts) {
   if (parts.tick == tick && parts.hash == hash && parts.quanta.size() == size) return;
   parts.tick = tick;
@@ -26,7 +26,7 @@ void gather(uint64_t tick, uint64_t hash, size_t size, const Quanta* base, Gathe
     parts.quanta.assign(size, 0);
 }
 
-// Checks what keyframes and deltas have in common, writes the numbers of the part, and returns why it is refused, or NULL.
+// Checks the fields common to keyframes and deltas, and unpacks the part's numbers. Returns why it is refused, or NULL.
 template <class Message>
 const char* read_part(const Message& message, Quanta& out) {
   const uint32_t nodes = message.node_count(), count = message.count();
@@ -48,7 +48,7 @@ Outcome apply_keyframe(std::span<const uint8_t> bytes, Surface& surface) {
   if (!(message->quantum() > 0 && message->quantum() <= 1)) return refuse("quantum of a keyframe is not in (0, 1] m");
   if (message->asset()->size() != 16) return refuse("asset of a keyframe is not a hash of 16 digits");
 
-  // Deltas may have given the surface of this very tick; the keyframe is still needed, because the next deltas are against it.
+  // Deltas may have given the surface of this tick already. The keyframe is still needed, because the next deltas refer to it.
   const bool holds_key = !surface.key.empty();
   if (holds_key && message->tick() <= surface.key_tick) return {Applied::old, {}};
   if (message->tick() < surface.key_parts.tick && !surface.key_parts.quanta.empty()) return {Applied::old, {}};
@@ -96,4 +96,4 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
   return {Applied::whole, {}};
 }
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

@@ -1,6 +1,6 @@
-// Holds the surface of one car. It takes keyframes and deltas as they come: lost, repeated, reordered or hostile. It gives the
-// surface, in quanta, of the newest tick of which every part is there. A surface is whole if, and only if, its XXH64 is the one
-// that its parts state. Messages that are older than the surface are dropped.
+// Holds the surface of one car. In: keyframes and deltas, perhaps lost, repeated, reordered or hostile. Out: the surface, in
+// quanta, of the newest complete tick. A surface is complete if and only if its XXH64 is the hash that its parts state.
+// Messages older than the surface are dropped.
 #pragma once
 
 #include <cstdint>
@@ -8,11 +8,11 @@
 #include <string>
 #include <vector>
 
-namespace crumple::client {
+namespace crumple::viewer {
 
 using Quanta = std::vector<int16_t>;  // 3 for each node of the skin
 
-struct Gathering {  // the parts of one tick, until they have its hash
+struct Gathering {  // the parts of one tick, until their hash is right
   uint64_t tick = 0;
   uint64_t hash = 0;
   Quanta quanta;
@@ -33,8 +33,8 @@ enum class Applied {
   whole,             // the surface has a newer tick now
   part,              // the part was taken in, and others are missing
   old,               // not newer than the surface
-  missing_keyframe,  // the keyframe of this delta is missing: ask for it
-  refused,           // malformed: `why` says how; the surface is unchanged
+  missing_keyframe,  // the part was added; others are missing
+  refused,           // malformed: `why` says how; the surface did not change
 };
 
 struct Outcome {
@@ -46,4 +46,4 @@ struct Outcome {
 [[nodiscard]] Outcome apply_keyframe(std::span<const uint8_t>, Surface&);
 [[nodiscard]] Outcome apply_delta(std::span<const uint8_t>, Surface&);
 
-}  // namespace crumple::client
+}  // namespace crumple::viewer

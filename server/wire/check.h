@@ -1,5 +1,5 @@
-// The checks that decode is made of: each takes a field as it came and gives it back in the program's types, or keeps the
-// first refusal, which names the field, what it is and what it may be. After a refusal values are meaningless but harmless.
+// The checks of decode. Each takes a received field and returns it in the program's types, or keeps the first refusal, which
+// says the field, its value and the allowed range. After a refusal values are meaningless but harmless.
 #pragma once
 
 #include <optional>
@@ -16,7 +16,7 @@
 
 namespace crumple {
 
-// Where a field stands: "spawn.", "cars[3]." or, with neither, the message itself.
+// The place of a field: "spawn.", "cars[3]." or, with neither, the message itself.
 struct Place {
   const char* table = nullptr;
   std::optional<uint32_t> index = std::nullopt;
@@ -42,8 +42,9 @@ struct Checker {
 // "has 1001 entries; 1000 are allowed"
 std::string count_sentence(size_t count, size_t limit);
 
-// The root table if every offset below it holds; otherwise nothing, and the refusal. `tables`: of a list in it, at most; twice
-// as many may be there, so that one too many is told from a forged file that names one table a million times.
+// The root table if every offset below it is valid; otherwise null, with a refusal. `tables`: the most entries of its list. The
+// verifier allows twice as many tables, so that one entry too many gets a better refusal than a forged file that names one
+// table a million times.
 template <class Table>
 const Table* checked(std::span<const std::byte> bytes, const char* what, const char* table, uint32_t tables, Checker& check) {
   if (bytes.size() > check.limits.message_size) {

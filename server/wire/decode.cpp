@@ -9,7 +9,7 @@
 namespace crumple {
 namespace {
 
-// Of the hulls of one message, in all: to try three points takes up to 80 ns, so that these are 5 ms. They are 12 hulls of 32
+// Most triples of points over all hulls of one message. Trying a triple takes up to 80 ns, so these take 5 ms: 12 hulls of 32
 // points, or a thousand of 8.
 constexpr uint64_t hull_threes_limit = 60'000;
 
@@ -79,7 +79,7 @@ Obstacle read(const schema::Obstacle& from, const Place& place, Checker& check) 
   return obstacle;
 }
 
-// Sorts; the first id that occurs twice is refused.
+// Sorts the ids and refuses the first one that occurs twice.
 template <class Id, class Text>
 void refuse_duplicates(std::vector<Id>& ids, const char* list, Text text, Checker& check) {
   std::sort(ids.begin(), ids.end());

@@ -1,6 +1,6 @@
-// Bytes from a host -> plain structs, or a refusal. Every offset is verified, then every field is held against its range and
-// limit; a message is taken whole or not at all, and what comes out needs no further check but against the world (does the car
-// live, is the asset known). Orientations come out normalised.
+// Decodes bytes from a host to plain structs, or refuses them. It verifies every offset, then checks every field against its
+// range and limit, and takes a message whole or not at all. The result needs no further checks except against the world (does
+// the car live, is the asset known). Orientations are normalised.
 #pragma once
 
 #include <cstddef>
@@ -24,7 +24,7 @@ namespace crumple {
 struct Intent {
   std::string car;
   Motion motion;
-  uint64_t seen = 0;  // tick of the last reaction that motion contains; 0: none, a scripted car
+  uint64_t seen = 0;  // tick of the last reaction that motion includes; 0: none, a scripted car
   float importance = 1;
 };
 struct Intents {
@@ -60,7 +60,7 @@ struct ParametersOrder {
 struct SaveOrder {};
 struct LoadOrder {
   std::string asset;
-  DeformableState state;  // all but step, reach and impulses; sizes are not checked yet
+  DeformableState state;  // all but step, reach and impulses; sizes are checked later
 };
 struct ReplaceOrder {
   std::string asset;
@@ -71,25 +71,25 @@ struct Budget {
   uint64_t work = 0;  // tet visits a tick; 0: no limit
 };
 
-// A baked car, not looked at yet: a part of the message.
+// A baked car, not checked yet; points into the message.
 struct UploadedAsset {
   std::span<const std::byte> car;
 };
 
-// Bytes must be aligned to 8. On a refusal what came out is meaningless.
+// The bytes must be aligned to 8. After a refusal the output is meaningless.
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Intents&);
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, ObstacleList&);
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Order&);
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, Budget&);
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, const Limits&, UploadedAsset&);
 
-// Of a recording.
+// Only in recordings.
 struct TickEnd {
   uint64_t tick = 0, hash = 0, lost_inputs = 0, lost_outputs = 0, inputs = 0;
 };
 [[nodiscard]] std::optional<Refusal> decode(std::span<const std::byte>, TickEnd&);
 
-// The change made; ranges are out_of_range()'s to check.
+// Makes the changes; out_of_range() checks the ranges.
 void apply(const ParametersOrder&, Parameters&);
 
 }  // namespace crumple

@@ -1,4 +1,4 @@
-// Plain structs -> bytes of every message but those about surfaces (surface.h): schema/message.fbs says what the fields mean.
+// Encodes all messages except surfaces (protocol/surface_codec.h). schema/message.fbs describes the fields.
 #pragma once
 
 #include <string>
@@ -27,11 +27,11 @@ Bytes encode_budget(uint64_t work);
 struct HealthReport {
   struct Room {
     std::string name;
-    double mean, worst;  // seconds a tick
+    double mean, worst;  // seconds per tick
   };
   struct Count {
     std::string name;
-    uint64_t value, limit;  // limit 0: none
+    uint64_t value, limit;  // limit 0: no limit
   };
   uint64_t tick = 0;
   double rate = 0;  // ticks a second

@@ -1,4 +1,4 @@
-// The fields of the protocol's State, each beside the body's own: encode_state and the Load order walk this list.
+// The fields of the protocol's State beside the same fields of a body. encode_state and the Load order use this list.
 #pragma once
 
 #include "schema/message_generated.h"
@@ -6,7 +6,7 @@
 
 namespace crumple {
 
-// Calls visit(field of DeformableState, State's accessor, StateBuilder's adder) for each.
+// Calls visit(field of DeformableState, State's accessor, StateBuilder's adder) for each field.
 template <class Visit>
 constexpr void for_each_saved_field(const Visit& visit) {
   using schema::State, schema::StateBuilder;
@@ -20,7 +20,7 @@ constexpr void for_each_saved_field(const Visit& visit) {
   visit(&DeformableState::settled, &State::settled, &StateBuilder::add_settled);
 }
 
-// The body's own list says which they are.
+// The body's list marks the fields of State; both lists must agree.
 static_assert(
     [] {
       int marked = 0, here = 0;

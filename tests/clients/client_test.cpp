@@ -24,10 +24,10 @@
 namespace crumple {
 namespace {
 
-using client::Applied;
-using client::apply_delta;
-using client::apply_keyframe;
-using client::Quanta;
+using viewer::Applied;
+using viewer::apply_delta;
+using viewer::apply_keyframe;
+using viewer::Quanta;
 
 constexpr uint32_t nodes = 700;  // 44 blocks, the last one incomplete
 const std::string asset = "0123456789abcdef";
@@ -49,8 +49,8 @@ std::vector<Bytes> delta(uint64_t tick, const Quanta& quanta, uint64_t key_tick,
   return encode_delta({tick, asset, 0.0005f}, quanta, key_tick, key);
 }
 
-client::Surface holding(uint64_t tick, const Quanta& quanta) {
-  client::Surface surface;
+viewer::Surface holding(uint64_t tick, const Quanta& quanta) {
+  viewer::Surface surface;
   EXPECT_EQ(apply_keyframe(bytes_of(keyframe(tick, quanta).front()), surface).applied, Applied::whole);
   return surface;
 }
@@ -58,7 +58,7 @@ client::Surface holding(uint64_t tick, const Quanta& quanta) {
 TEST(Client, HoldsAKeyframeAsTheServerEncodedIt) {
   std::mt19937 random(1);
   const Quanta quanta = random_quanta(random);
-  const client::Surface surface = holding(7, quanta);
+  const viewer::Surface surface = holding(7, quanta);
   EXPECT_EQ(surface.quanta, quanta);
   EXPECT_EQ(surface.tick, 7u);
   EXPECT_EQ(surface.hash, surface_hash(quanta));
@@ -72,7 +72,7 @@ TEST(Client, AKeyframeInPartsIsWholeWithItsLastPartInAnyOrder) {
   auto parts = keyframe(7, quanta, 100);
   ASSERT_EQ(parts.size(), 7u);
   std::shuffle(parts.begin(), parts.end(), random);
-  client::Surface surface;
+  viewer::Surface surface;
   for (size_t i = 0; i + 1 < parts.size(); ++i) {
     EXPECT_EQ(apply_keyframe(bytes_of(parts[i]), surface).applied, Applied::part);
     EXPECT_TRUE(surface.quanta.empty());
@@ -87,7 +87,7 @@ TEST(Client, ADeltaIsAgainstTheKeyframeAndWrapsModulo65536) {
   now[0] = -32767;
   key[3 * nodes - 1] = -32767;
   now[3 * nodes - 1] = 32767;
-  client::Surface surface = holding(1, key);
+  viewer::Surface surface = holding(1, key);
   EXPECT_EQ(apply_delta(bytes_of(delta(2, now, 1, key).front()), surface).applied, Applied::whole);
   EXPECT_EQ(surface.quanta, now);
   // The next delta does not build on this one.
@@ -99,7 +99,7 @@ TEST(Client, ADeltaInPartsIsWholeOnlyWithAllOfThem) {
   std::mt19937 random(3);
   constexpr size_t many = 30'000;
   const Quanta key = random_quanta(random, many), now = random_quanta(random, many);
-  client::Surface surface;
+  viewer::Surface surface;
   for (const Bytes& part : encode_keyframe({1, asset, 0.0005f}, key))
     static_cast<void>(apply_keyframe(bytes_of(part), surface));
   ASSERT_EQ(surface.quanta, key);
@@ -117,7 +117,7 @@ TEST(Client, ADeltaInPartsIsWholeOnlyWithAllOfThem) {
 TEST(Client, DropsWhatIsOlderThanWhatItHolds) {
   std::mt19937 random(4);
   const Quanta a = random_quanta(random), b = random_quanta(random), c = random_quanta(random);
-  client::Surface surface = holding(10, a);
+  viewer::Surface surface = holding(10, a);
   EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), surface).applied, Applied::whole);
   EXPECT_EQ(apply_delta(bytes_of(delta(11, c, 10, a).front()), surface).applied, Applied::old);
   EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), surface).applied, Applied::old);
@@ -128,9 +128,9 @@ TEST(Client, DropsWhatIsOlderThanWhatItHolds) {
 TEST(Client, ADeltaAgainstAKeyframeThatItLacksAsksForIt) {
   std::mt19937 random(5);
   const Quanta a = random_quanta(random), b = random_quanta(random), c = random_quanta(random);
-  client::Surface empty;
+  viewer::Surface empty;
   EXPECT_EQ(apply_delta(bytes_of(delta(12, b, 10, a).front()), empty).applied, Applied::missing_keyframe);
-  client::Surface surface = holding(10, a);
+  viewer::Surface surface = holding(10, a);
   EXPECT_EQ(apply_delta(bytes_of(delta(22, c, 20, b).front()), surface).applied, Applied::missing_keyframe);
   EXPECT_EQ(surface.quanta, a);
   EXPECT_EQ(apply_keyframe(bytes_of(keyframe(20, b).front()), surface).applied, Applied::whole);
@@ -159,7 +159,7 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
   }
   for (size_t i = 0; i + 1 < sent.size(); ++i)
     if (random() % 4 == 0) std::swap(sent[i], sent[std::min(sent.size() - 1, i + 1 + random() % 6)]);
-  client::Surface surface;
+  viewer::Surface surface;
   uint64_t last = 0, advanced = 0;
   for (const auto& [is_key, message] : sent) {
     const auto outcome = is_key ? apply_keyframe(bytes_of(message), surface) : apply_delta(bytes_of(message), surface);
@@ -178,18 +178,18 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
 }
 
 // For any bytes: if a surface is held afterwards, its hash is the one in the message.
-void expect_sound(const client::Surface& surface) {
+void expect_sound(const viewer::Surface& surface) {
   if (!surface.quanta.empty()) {
     EXPECT_EQ(surface_hash(surface.quanta), surface.hash);
   }
 }
 
-using Apply = client::Outcome (*)(std::span<const uint8_t>, client::Surface&);
+using Apply = viewer::Outcome (*)(std::span<const uint8_t>, viewer::Surface&);
 
-void try_every_prefix(const Bytes& message, Apply apply, const client::Surface& before) {
+void try_every_prefix(const Bytes& message, Apply apply, const viewer::Surface& before) {
   for (size_t size = 0; size < message.size(); ++size) {
     const Bytes prefix(message.begin(), message.begin() + static_cast<ptrdiff_t>(size));
-    client::Surface surface = before;
+    viewer::Surface surface = before;
     const auto outcome = apply(bytes_of(prefix), surface);
     if (size + 8 > message.size() && outcome.applied == Applied::whole) continue;  // only padding was cut
     EXPECT_EQ(outcome.applied, Applied::refused) << "prefix of " << size << " bytes";
@@ -198,10 +198,10 @@ void try_every_prefix(const Bytes& message, Apply apply, const client::Surface& 
   }
 }
 
-void try_every_bit_flip(Bytes message, Apply apply, const client::Surface& before) {
+void try_every_bit_flip(Bytes message, Apply apply, const viewer::Surface& before) {
   for (size_t bit = 0; bit < 8 * message.size(); ++bit) {
     message[bit / 8] ^= static_cast<std::byte>(1u << bit % 8);
-    client::Surface surface = before;
+    viewer::Surface surface = before;
     static_cast<void>(apply(bytes_of(message), surface));
     expect_sound(surface);
     message[bit / 8] ^= static_cast<std::byte>(1u << bit % 8);
@@ -241,9 +241,9 @@ Bytes hand_made_delta(uint32_t total, uint32_t first, uint32_t count, std::vecto
 }
 
 TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
-  const client::Surface held = holding(5, Quanta(3 * nodes, 0));
+  const viewer::Surface held = holding(5, Quanta(3 * nodes, 0));
   const auto outcome = [&](const Bytes& message) {
-    client::Surface surface = held;
+    viewer::Surface surface = held;
     return apply_delta(bytes_of(message), surface).applied;
   };
   const uint16_t wide = 16 | 16 << 5 | 16 << 10;

@@ -116,7 +116,7 @@ bool client_run(Input input) {
   for (Part& part : parts_of(input)) {
     const uint8_t kind = part.kind % kinds;
     if (part.which & 2 && (kind == keyframe || kind == delta || kind == keyframe_reply)) {
-      const client::FollowedCar& car = session.following.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
+      const viewer::FollowedCar& car = session.following.cars[part.which & 1 && kind != keyframe_reply ? "c1" : "c0"];
       fit_hash(kind != delta, car.fresh && kind != delta ? car.coming : car.surface, part.bytes);
     }
     session.answers[answer_ticket];
@@ -136,7 +136,7 @@ bool client_run(Input input) {
 std::vector<std::vector<uint8_t>> client_seeds() {
   std::vector<uint8_t> seen, asked;
   const Car& car = *coarse_car();
-  client::Quanta key(3 * car.skin_node.size(), 5), later(key);
+  viewer::Quanta key(3 * car.skin_node.size(), 5), later(key);
   later[4] = 90;
   const auto add = [](uint8_t kind, const Bytes& bytes, std::vector<uint8_t>& to) { put(kind, 0, input_of(bytes), to); };
   put(alive, 2, {}, seen);

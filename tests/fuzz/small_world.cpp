@@ -33,12 +33,12 @@ bool verifies(const Bytes& bytes) {
 bool is_what_readers_take(const Message& message) {
   if (message.failed || (message.ticket != 0 && channel_of(message.key) != Channel::keyframe))
     return verifies<schema::Answer>(message.bytes);
-  client::Surface none;
+  viewer::Surface none;
   switch (channel_of(message.key)) {
     case Channel::keyframe:
-      return client::apply_keyframe(input_of(message.bytes), none).applied == client::Applied::whole;
+      return viewer::apply_keyframe(input_of(message.bytes), none).applied == viewer::Applied::whole;
     case Channel::delta:
-      return client::apply_delta(input_of(message.bytes), none).applied == client::Applied::missing_keyframe;
+      return viewer::apply_delta(input_of(message.bytes), none).applied == viewer::Applied::missing_keyframe;
     case Channel::reactions:
       return verifies<schema::Reactions>(message.bytes);
     default:

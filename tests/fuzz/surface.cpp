@@ -13,15 +13,15 @@
 namespace crumple::fuzz {
 namespace {
 
-using client::Applied;
+using viewer::Applied;
 
-client::Outcome apply(bool keyframe, const std::vector<uint8_t>& bytes, client::Surface& surface) {
-  return keyframe ? client::apply_keyframe(bytes, surface) : client::apply_delta(bytes, surface);
+viewer::Outcome apply(bool keyframe, const std::vector<uint8_t>& bytes, viewer::Surface& surface) {
+  return keyframe ? viewer::apply_keyframe(bytes, surface) : viewer::apply_delta(bytes, surface);
 }
 
-bool take(bool keyframe, const std::vector<uint8_t>& bytes, client::Surface& surface) {
-  const client::Surface before = surface;
-  const client::Outcome outcome = apply(keyframe, bytes, surface);
+bool take(bool keyframe, const std::vector<uint8_t>& bytes, viewer::Surface& surface) {
+  const viewer::Surface before = surface;
+  const viewer::Outcome outcome = apply(keyframe, bytes, surface);
   expect((outcome.applied == Applied::refused) == !outcome.why.empty(), "a refusal says why");
   if (outcome.applied == Applied::refused)
     expect(surface.quanta == before.quanta && surface.key == before.key, "a refusal leaves the surface as it was");
@@ -36,10 +36,10 @@ void put_all(uint8_t kind, const std::vector<Bytes>& parts, std::vector<uint8_t>
 
 }  // namespace
 
-void fit_hash(bool keyframe, const client::Surface& before, std::vector<uint8_t>& bytes) {
-  client::Surface surface = before;
+void fit_hash(bool keyframe, const viewer::Surface& before, std::vector<uint8_t>& bytes) {
+  viewer::Surface surface = before;
   if (apply(keyframe, bytes, surface).applied != Applied::part) return;
-  const client::Quanta& quanta = (keyframe ? surface.key_parts : surface.delta_parts).quanta;
+  const viewer::Quanta& quanta = (keyframe ? surface.key_parts : surface.delta_parts).quanta;
   const auto field = keyframe ? int(schema::Keyframe::VT_HASH) : int(schema::Delta::VT_HASH);
   auto* table = flatbuffers::GetMutableRoot<flatbuffers::Table>(bytes.data());
   table->SetField<uint64_t>(flatbuffers::voffset_t(field), XXH64(quanta.data(), 2 * quanta.size(), 0), 0);
@@ -47,7 +47,7 @@ void fit_hash(bool keyframe, const client::Surface& before, std::vector<uint8_t>
 
 // which: bit 0: the hash is corrected.
 bool surface_run(Input input) {
-  client::Surface surface;
+  viewer::Surface surface;
   bool taken = true;
   for (Part& part : parts_of(input)) {
     const bool keyframe = part.kind % 2 == 0;
@@ -59,7 +59,7 @@ bool surface_run(Input input) {
 
 std::vector<std::vector<uint8_t>> surface_seeds() {
   std::mt19937 random(1);
-  client::Quanta key(3 * 40), later(key);
+  viewer::Quanta key(3 * 40), later(key);
   for (auto& quantum : key) quantum = int16_t(random() % 4000);
   for (size_t i = 0; i < key.size(); ++i) later[i] = int16_t(key[i] + int(random() % 9));
   const std::string asset(16, 'a');

@@ -81,7 +81,7 @@ TEST(Files, ADiskWithoutRoomIsSaidAndNothingIsLeftOnIt) {
   {
     const FullDisk disk;
     said.push_back(refusal([&] { write_car(*box_car({6, 3, 2}), path); }));
-    said.push_back(refusal([&] { client::write_obj(files.folder.path / "old.obj", "", "", 0, rest, rest, triangle); }));
+    said.push_back(refusal([&] { write_obj(files.folder.path / "old.obj", "", "", 0, rest, rest, triangle); }));
     said.push_back(refusal([&] { write_glb(files.folder.path / "old.glb", film); }));
   }
   for (const std::string& sentence : said) expect_sentence(sentence, "/old.", "File too large");

@@ -325,6 +325,20 @@ TEST_F(LongRun, TheIndexTakesNoMoreMemoryThanItIsThoughtTo) {
   EXPECT_EQ(recorder_close(recorder), 0);
 }
 
+TEST_F(LongRun, AFileThatASignalLeftBeforeItBeganIsSaidToBeEmpty) {
+  Scene scene;
+  const Series standby(scene.options(path("standby.mcap")), *scene.world, scene.latest);
+  ASSERT_TRUE(until([&] { return fs::file_size(path("standby.mcap")) > 0; }));
+  fs::copy_file(path("standby.mcap"), path("left.mcap"));  // as SIGKILL would leave it
+  try {
+    RecordingReader reader(path("left.mcap"));
+    FAIL() << "it was read";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("is empty: its server was killed before it recorded"), std::string::npos)
+        << error.what();
+  }
+}
+
 // Longer than the longest record, and longer than the recorder's queue.
 TEST_F(LongRun, AWorldOfManyDamagedCarsIsRecordedInPieces) {
   RecordingHead head;

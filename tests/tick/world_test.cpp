@@ -463,7 +463,7 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
 }
 
 // The distance of a viewer's surface from the body, m: on one axis of one node of the skin.
-float farthest_off(const Instance& car, const client::Surface& held) {
+float farthest_off(const Instance& car, const viewer::Surface& held) {
   float most = 0;
   for (size_t i = 0; i < car.car->skin_node.size(); ++i) {
     const uint32_t node = car.car->skin_node[i];
@@ -585,12 +585,12 @@ struct Weather {
   void take(uint64_t now, const Message& message) {
     if (message.key == "health") return take_health(now, message);
     const std::span bytes(reinterpret_cast<const uint8_t*>(message.bytes.data()), message.bytes.size());
-    const client::Outcome outcome =
-        is_key(message) ? client::apply_keyframe(bytes, viewer.surface) : client::apply_delta(bytes, viewer.surface);
-    ASSERT_NE(outcome.applied, client::Applied::refused) << outcome.why;
+    const viewer::Outcome outcome =
+        is_key(message) ? viewer::apply_keyframe(bytes, viewer.surface) : viewer::apply_delta(bytes, viewer.surface);
+    ASSERT_NE(outcome.applied, viewer::Applied::refused) << outcome.why;
     heard = now;
     unsure = true;
-    if (outcome.applied == client::Applied::missing_keyframe) ask(now);
+    if (outcome.applied == viewer::Applied::missing_keyframe) ask(now);
   }
 };
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cstring>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -18,16 +19,16 @@
 namespace crumple {
 namespace {
 
-using client::Applied;
-using client::FollowedCar;
-using client::Following;
+using viewer::Applied;
+using viewer::FollowedCar;
+using viewer::Following;
 using namespace std::chrono_literals;
 
 constexpr size_t nodes = 4;
 
 std::span<const uint8_t> raw(const Bytes& bytes) { return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}; }
 
-client::Quanta filled(int16_t value) { return client::Quanta(3 * nodes, value); }
+viewer::Quanta filled(int16_t value) { return viewer::Quanta(3 * nodes, value); }
 
 Bytes keyframe_of(uint64_t tick, int16_t value) {
   return encode_keyframe({tick, "0123456789abcdef", 0.0005f}, filled(value)).front();
@@ -46,7 +47,7 @@ struct Question {
 // A network that sends nothing but keeps the queries.
 struct Asked {
   std::vector<Question> questions;
-  client::Ask ask = [this](const std::string& key, std::span<const uint8_t> payload, std::chrono::milliseconds) {
+  viewer::Ask ask = [this](const std::string& key, std::span<const uint8_t> payload, std::chrono::milliseconds) {
     questions.push_back({questions.size() + 1, key, {payload.begin(), payload.end()}});
     return questions.size();
   };
@@ -54,7 +55,7 @@ struct Asked {
 };
 
 struct Follower : Asked {
-  client::Time now{1h};
+  viewer::Time now{1h};
   Following all{"crumple/1/main/", ask};
 
   explicit Follower(bool follows_all = true) {
@@ -105,10 +106,10 @@ TEST(Viewer, AsksForAMissingKeyframeOnceAndAgainAfterThePause) {
   EXPECT_EQ(one.last().key, "crumple/1/main/car/a/key/0");
   one.answer(one.last().ticket, 0, 0, true);
   one.delta(25, 2, 19, 1);
-  one.pass(client::ask_again / 2);
+  one.pass(viewer::ask_again / 2);
   one.delta(26, 2, 19, 1);
   EXPECT_EQ(one.questions.size(), before + 1) << "a server in trouble is left alone for a moment";
-  one.pass(client::ask_again);
+  one.pass(viewer::ask_again);
   ASSERT_EQ(one.questions.size(), before + 2) << "no message is needed for it";
   one.answer(one.last().ticket, 19, 1);
   EXPECT_EQ(one.delta(27, 2, 19, 1), Applied::whole);
@@ -119,11 +120,60 @@ TEST(Viewer, AsksForAMissingKeyframeOnceAndAgainAfterThePause) {
 TEST(Viewer, AsksNothingTwiceWhileTheAnswerMayStillCome) {
   Follower one;
   one.token(true);
-  for (int k = 0; k < 4; ++k) one.pass(client::keyframe_patience / 4);
+  for (int k = 0; k < 4; ++k) one.pass(viewer::keyframe_patience / 4);
   EXPECT_EQ(one.questions.size(), 1u);
   one.all.end(one.last().ticket);
   one.pass(0ms);
   EXPECT_EQ(one.questions.size(), 2u);
+}
+
+TEST(Viewer, AsksLessAndLessOftenForAKeyframeThatDoesNotCome) {
+  Follower one;
+  one.token(true);
+  std::vector<std::chrono::milliseconds> pauses;
+  for (auto asked = one.now; one.now < viewer::Time{1h + 40s}; one.pass(10ms)) {
+    if (one.questions.size() == pauses.size() + 1) {
+      if (!pauses.empty()) pauses.back() = std::chrono::duration_cast<std::chrono::milliseconds>(one.now - asked);
+      pauses.push_back({});
+      asked = one.now;
+    }
+    one.answer(one.last().ticket, 0, 0, true);
+  }
+  ASSERT_GE(pauses.size(), 7u);
+  for (size_t k = 0; k + 1 < pauses.size(); ++k)
+    EXPECT_NEAR(double(pauses[k].count()), double(std::min(viewer::ask_again * (1 << k), viewer::longest_pause).count()), 20)
+        << k;
+  one.token(false);
+  const size_t before = one.questions.size();
+  one.token(true);
+  EXPECT_EQ(one.questions.size(), before + 1) << "the next car of this id is asked for at once";
+}
+
+// Whoever may publish may say that cars are there. Without the limit each viewer asked for all of them twice a second.
+TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndARealOneComesFirst) {
+  Follower one;
+  constexpr size_t invented = 1000;
+  const auto is_open = [&] { return one.all.tickets.size(); };
+  for (size_t k = 0; k < invented; ++k) one.all.take_token(*parse_key("car/0-" + std::to_string(k)), true, one.now);
+  EXPECT_EQ(is_open(), viewer::questions_limit);
+  one.token(true);
+  EXPECT_EQ(is_open(), viewer::questions_limit) << "it waits as well";
+  EXPECT_EQ(one.delta(20, 2, 19, 1), Applied::missing_keyframe);
+  EXPECT_EQ(is_open(), viewer::questions_limit + 1) << "something of this one has come";
+  EXPECT_EQ(one.last().key, "crumple/1/main/car/a/key/0");
+  one.answer(one.last().ticket, 20, 2);
+  EXPECT_EQ(one.held(), 20u);
+  std::set<std::string> asked;
+  for (; one.now < viewer::Time{1h + 60s}; one.pass(50ms)) {
+    EXPECT_LE(is_open(), viewer::questions_limit);
+    const auto open = one.all.tickets;
+    for (const auto& [ticket, id] : open) {
+      asked.insert(id);
+      one.answer(ticket, 0, 0, true);
+    }
+  }
+  EXPECT_EQ(asked.size(), invented) << "each is asked for";
+  EXPECT_LT(one.questions.size(), 14 * invented) << "in a minute";
 }
 
 TEST(Viewer, AsksOnceWhereACarFellSilentAfterAMessage) {
@@ -133,7 +183,7 @@ TEST(Viewer, AsksOnceWhereACarFellSilentAfterAMessage) {
   one.pass(10s);
   EXPECT_EQ(one.questions.size(), before) << "nothing has come that another could have followed";
   one.delta(6, 2, 5, 1);
-  one.pass(client::silence);
+  one.pass(viewer::silence);
   EXPECT_EQ(one.questions.size(), before);
   one.pass(1ms);
   ASSERT_EQ(one.questions.size(), before + 1);
@@ -151,7 +201,7 @@ TEST(Viewer, AsksForWhatHealthSaysWasTold) {
   one.delta(6, 2, 5, 1);
   one.health(7);
   EXPECT_EQ(one.questions.size(), before) << "that may be on its way";
-  one.now += client::on_its_way + 1ms;
+  one.now += viewer::on_its_way + 1ms;
   one.health(6);
   EXPECT_EQ(one.questions.size(), before);
   one.health(7);
@@ -200,10 +250,10 @@ TEST(Viewer, AsksAnotherOwnerForEachCarThatLives) {
 
 TEST(Viewer, FollowsNoMoreCarsThanItsLimit) {
   Follower one;
-  for (size_t k = 0; k < client::cars_limit + 10; ++k)
+  for (size_t k = 0; k < viewer::cars_limit + 10; ++k)
     one.all.take_token(*parse_key("car/" + std::to_string(k)), true, one.now);
-  EXPECT_EQ(one.all.cars.size(), client::cars_limit);
-  EXPECT_EQ(one.questions.size(), client::cars_limit);
+  EXPECT_EQ(one.all.cars.size(), viewer::cars_limit);
+  EXPECT_EQ(one.questions.size(), viewer::questions_limit);
   Follower other(false);
   other.token(true);
   EXPECT_TRUE(other.all.cars.empty()) << "nobody follows it";
@@ -224,8 +274,8 @@ TEST(Viewer, SaysWhichMessagesOthersNeed) {
 }
 
 struct Fetcher : Asked {
-  client::Time now{1h};
-  client::Fetching all{ask};
+  viewer::Time now{1h};
+  viewer::Fetching all{ask};
   std::vector<uint8_t> car;  // three pieces, the last one short
   std::string hash;
 
@@ -238,11 +288,11 @@ struct Fetcher : Asked {
     if (last().payload.size() == sizeof at) std::memcpy(&at, last().payload.data(), sizeof at);
     return at;
   }
-  std::optional<client::AssetNews> answer(std::vector<uint8_t> bytes, bool failed = false) {
+  std::optional<viewer::AssetNews> answer(std::vector<uint8_t> bytes, bool failed = false) {
     return all.take_reply(last().ticket, bytes, failed, now);
   }
   // Answers the last query with its piece. If `turned` is not 0, a bit of the piece is flipped.
-  std::optional<client::AssetNews> answer(uint8_t turned = 0) {
+  std::optional<viewer::AssetNews> answer(uint8_t turned = 0) {
     const size_t begin = offset(), end = std::min(car.size(), begin + asset_piece);
     std::vector<uint8_t> piece(car.begin() + ptrdiff_t(begin), car.begin() + ptrdiff_t(end));
     piece.front() ^= turned;
@@ -275,9 +325,9 @@ TEST(Viewer, ABakedCarWithAnotherHashIsThrownAwayAndAskedForAgain) {
   ASSERT_TRUE(news && !news->whole);
   EXPECT_NE(news->trouble.find("have the hash"), std::string::npos) << news->trouble;
   EXPECT_EQ(one.all.size(), 0u);
-  one.all.want(one.hash, one.now + client::ask_again / 2);
+  one.all.want(one.hash, one.now + viewer::ask_again / 2);
   EXPECT_EQ(one.questions.size(), 3u) << "not at once";
-  one.now += client::ask_again;
+  one.now += viewer::ask_again;
   one.all.want(one.hash, one.now);
   ASSERT_EQ(one.questions.size(), 4u);
   EXPECT_EQ(one.offset(), 0u) << "from its beginning";
@@ -291,12 +341,12 @@ TEST(Viewer, ABakedCarThatDoesNotComeIsTroubleAndAskedForAgain) {
   one.all.want(one.hash, one.now);
   one.answer();
   EXPECT_EQ(one.answer({'n', 'o'}, true)->trouble, "no");
-  one.now += client::ask_again;
+  one.now += viewer::ask_again;
   one.all.want(one.hash, one.now);
   ASSERT_EQ(one.offset(), 0u);
   EXPECT_NE(one.all.end(one.last().ticket)->trouble.find("did not answer"), std::string::npos);
   EXPECT_FALSE(one.all.end(one.last().ticket)) << "it has ended";
-  one.now += client::ask_again;
+  one.now += viewer::ask_again;
   one.all.want(one.hash, one.now);
   const uint64_t ticket = one.last().ticket;
   one.all.forget(one.hash);

@@ -1,12 +1,12 @@
-//! A byte buffer whose first byte lies on a 16-byte boundary: FlatBuffers are read in place, and zenoh and MCAP hand out
-//! slices at any address. Built once, never grown, so the address holds as long as the buffer.
+//! A byte buffer that starts at a 16-byte boundary: FlatBuffers are read in place, while zenoh and MCAP give slices at any
+//! address. It never grows, so its address stays the same.
 
 pub struct Aligned {
     store: Vec<u8>,
     start: usize,
 }
 
-/// No bytes, at an aligned address nevertheless.
+/// No bytes, but still at an aligned address.
 impl Default for Aligned {
     fn default() -> Aligned {
         Aligned::copy(&[])

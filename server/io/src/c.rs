@@ -1,5 +1,5 @@
-//! What the C functions share. In: pointers, checked for NULL and UTF-8, and copied or borrowed for the call. Out: statuses, and
-//! pointers that live as long as the header says. Handles are boxes.
+//! Shared by the C functions. Pointers that come in are checked for NULL and UTF-8, and copied or borrowed for the call.
+//! Pointers that go out live as long as the header says. Handles are boxes.
 
 mod metrics;
 mod net;
@@ -36,7 +36,7 @@ pub fn missing(name: &str) -> Fail {
     Fail::new(BAD_ARGUMENT, format!("{name} is NULL"))
 }
 
-/// The caller's pointer, if not NULL, must be valid for the call: that is the contract of each function of the header.
+/// The caller's pointer, if not NULL, must be valid during the call: each function of the headers requires that.
 pub unsafe fn borrow<'a, T>(pointer: *const T, name: &str) -> Result<&'a T, Fail> {
     unsafe { pointer.as_ref() }.ok_or_else(|| missing(name))
 }
@@ -84,14 +84,14 @@ pub extern "C" fn transport_version() -> *const c_char {
         .as_ptr()
 }
 
-/// zenoh drops what it knows of a key part by part, each within the one before, and a key of 64 KB has 32,767 parts: on the 2 MiB that
-/// Rust gives a thread, 10,000 end the program. Rust reads this once, before the process's first thread; what the user has set
-/// stands.
+/// zenoh drops a key's tree recursively, part by part, and a key of 64 KB has 32,767 parts. On the 2 MiB stack that Rust gives
+/// a thread, 10,000 parts crash the program. Rust reads this variable once, before the process's first thread. A value that the
+/// user has set stays.
 pub fn give_threads_room() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         if std::env::var_os("RUST_MIN_STACK").is_none() {
-            // SAFETY: as with setenv, no other thread may read the environment in this moment: crumple_client.h says so.
+            // SAFETY: as with setenv, no other thread may read the environment at this moment; crumple_client.h says so.
             unsafe { std::env::set_var("RUST_MIN_STACK", (32 << 20).to_string()) };
         }
     });

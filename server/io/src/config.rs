@@ -1,13 +1,13 @@
-//! zenoh's configuration for a session: ours, and the caller's JSON5 laid over it. Our values and their reasons stand here.
+//! zenoh's configuration for a session: our values, with their reasons, overridden by the caller's JSON5.
 
 use crate::fail::{BAD_ARGUMENT, Fail, said};
 use serde_json::{Value, json};
 
-/// Bytes of one message, ours and what is accepted from others: a baked car of 50,000 nodes has 20 MB (zenoh allows 1 GiB).
+/// Most bytes of one message, sent or accepted: a baked car of 50,000 nodes has 20 MB (zenoh allows 1 GiB).
 pub const MAX_MESSAGE: usize = 64 << 20;
-/// zenoh's headers on top
+/// room for zenoh's headers
 const MAX_HEADERS: usize = 64 << 10;
-/// Brackets within brackets: json5 0.4 takes stack for each, and some 10,000 are the end of it. zenoh's keys need 8.
+/// Deepest nesting of brackets: json5 0.4 uses stack for each level, and some 10,000 levels exhaust it. zenoh's keys need 8.
 const DEEPEST: usize = 100;
 
 pub fn build(
@@ -30,8 +30,8 @@ pub fn build(
         "peer" | "client" | "router" => {}
         other => return Err(bad(format!("mode is \"{other}\"; it must be \"peer\", \"client\" or \"router\""))),
     }
-    // On plain datagrams zenoh sends nothing again: a declaration that is lost is lost for good. rel=1 is QUIC. Its mixed_rel=1
-    // (samples as datagrams) was tried: at a loss of 2 % the slowest surface took 0.74 s instead of 0.04 s.
+    // Over plain UDP zenoh sends nothing again, so a lost declaration is lost for good. rel=1 is QUIC. Its mixed_rel=1 (samples
+    // as datagrams) was tried: with a loss of 2 % the slowest surface took 0.74 s instead of 0.04 s.
     let plain = |it: &&&str| it.starts_with("udp/") && !it.split(['?', ';', '#']).any(|part| part == "rel=1");
     if let Some(endpoint) = listen.iter().chain(connect).find(plain) {
         let at = endpoint.split(['?', '#']).next().unwrap_or_default();
@@ -42,13 +42,13 @@ pub fn build(
         "listen": { "endpoints": listen },
         "connect": {
             "endpoints": connect,
-            // after a lost connection: back within a second of the line, and three small packets a second while it is away
+            // after a lost connection: back within a second of the link's return; three small packets a second until then
             "retry": { "period_init_ms": 100, "period_max_ms": 400, "period_increase_factor": 2 },
         },
-        // Who talks to whom is said by endpoints; nothing is announced to the local network.
+        // Only endpoints decide who talks to whom; nothing is announced to the local network.
         "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": false } },
         "transport": {
-            // ms; on a line that swallows what is sent a try is given up, so that the next one meets the line's return
+            // ms; on a link that loses everything an attempt is given up, so that the next one succeeds when the link is back
             "unicast": { "open_timeout": 3000, "accept_timeout": 3000 },
             "link": {
                 "tx": {
@@ -57,7 +57,7 @@ pub fn build(
                         // batches of 64 KiB; with the default of 2, bursts of 40 cars lost samples on a healthy loopback
                         "size": { "control": 16, "real_time": 16, "interactive_high": 16, "interactive_low": 16,
                                   "data_high": 16, "data": 16, "data_low": 16, "background": 16 },
-                        // µs; a peer that takes nothing for so long while an answer waits is disconnected (default: 5 s)
+                        // µs; a peer that takes nothing for this long while an answer waits is disconnected (default: 5 s)
                         "congestion_control": { "block": { "wait_before_close": 1_000_000 } },
                     },
                 },
@@ -87,7 +87,7 @@ pub fn build(
     })
 }
 
-/// Brackets in texts and comments count too: they close again there as well, or are few.
+/// Brackets in texts and comments count too: usually they close again there, or are few.
 fn depth(text: &str) -> usize {
     let (mut now, mut most) = (0usize, 0);
     for byte in text.bytes() {

@@ -1,5 +1,5 @@
-//! What went wrong, as the caller sees it: a Status of transport.h and a sentence that names the thing, the fact and the
-//! remedy. Nothing in this library panics on bad input: a panic would end the whole process (panic = "abort").
+//! An error as the caller sees it: a Status of transport.h and a sentence that names the thing, the fact and the remedy.
+//! Nothing in this library panics on bad input, because a panic would end the whole process (panic = "abort").
 
 pub const BAD_ARGUMENT: i32 = -1;
 pub const CLOSED: i32 = -2;
@@ -33,7 +33,7 @@ pub fn causes(error: &dyn std::error::Error) -> String {
     line
 }
 
-/// What zenoh says, without the places in its sources.
+/// zenoh's message without the positions in its sources.
 pub fn said(error: &zenoh::Error) -> String {
     let text = error.to_string();
     let sentences: Vec<_> = text.split(" - Caused by ").map(|it| it.split(" at /").next().unwrap_or(it)).collect();

@@ -1,6 +1,6 @@
-//! The door for HTTP, of metrics and of pages: accepts connections, and bounds their number, time and memory, whatever the other
-//! end does. What is answered there is a router of its owner. One address has half of the places at most. Where a newcomer finds
-//! none, the connection goes that has moved nothing for longest, unless it waits for an answer or is a WebSocket.
+//! The HTTP server of metrics and of pages: accepts connections and bounds their number, time and memory, whatever the other
+//! end does. Its user supplies a router, which makes the answers. One address gets at most half of the places. When a newcomer
+//! finds no place, the connection that was idle for longest is closed, except those that wait for an answer or are WebSockets.
 
 use crate::fail::{BAD_ARGUMENT, Fail, IO};
 use axum::extract::{Extension, Request};
@@ -26,21 +26,22 @@ use tokio::runtime::Runtime;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// For the head of a request, and between two requests of a connection.
+/// Time for the head of a request, and between two requests of a connection.
 const HEAD_TIME: Duration = Duration::from_secs(10);
-/// Of a head, and of what is read ahead of a body: browsers send the cookies of every port of a machine.
+/// Most bytes of a head, and of a body that are read ahead: browsers send the cookies of every port of a machine.
 const MAX_HEAD: usize = 16 << 10;
-/// A reader that takes nothing, or a browser that answers nothing, for so long is let go.
+/// A reader that takes nothing, or a browser that answers nothing, for this long is disconnected.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Connections that wait to be accepted: more than come at once, since the kernel lets whoever finds no room try again after 1 s.
+/// Connections that wait to be accepted. More than ever come at once, because the kernel makes those without room retry after 1
+/// s.
 const MAX_COMING: i32 = 1024;
-/// Until it is tried again to accept, where there was no descriptor for it.
+/// Pause before the next attempt to accept when there was no descriptor left.
 const TRY_AGAIN: Duration = Duration::from_millis(100);
-/// For tasks to end when the door closes.
+/// Time for tasks to end when the server closes.
 const CLOSING: Duration = Duration::from_secs(1);
 
-/// A page is one file, whose scripts and style are in it, some of them WebAssembly (the hash of a surface). It speaks with whoever
-/// served it, and no page may show it in a frame.
+/// A page is one file with its scripts and style, some of them WebAssembly (the hash of a surface). It may talk only to this
+/// server, and no page may show it in a frame.
 const MAY: &str = "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
                    img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 const DRESS: [(HeaderName, &str); 4] = [
@@ -59,7 +60,7 @@ pub struct Door {
 }
 
 impl Door {
-    /// At "HOST:PORT", with so many places; `what` names it in a sentence.
+    /// Listens at "HOST:PORT" with this many places; `what` names the server in sentences.
     pub fn open(what: &str, address: &str, places: usize) -> Result<Door, Fail> {
         if !address.contains(':') {
             return Err(Fail::new(BAD_ARGUMENT, format!("{what} at {address}: give HOST:PORT, such as 127.0.0.1:8080")));
@@ -81,7 +82,7 @@ impl Door {
         })
     }
 
-    /// Answers by the router from now on. Its handlers find their Arc<Place> as an Extension.
+    /// Starts answering with the router. Its handlers find their Arc<Place> as an Extension.
     pub fn serve(&mut self, router: Router) {
         if let (Some(runtime), Some(listener)) = (&self.runtime, self.listener.take()) {
             runtime.spawn(accept(listener, router.layer(middleware::from_fn(answer)), self.places.clone()));
@@ -110,7 +111,7 @@ async fn accept(listener: TcpListener, router: Router, places: Arc<Places>) {
             continue;
         };
         let Some(place) = places.take(from.ip()) else { continue };
-        _ = stream.set_nodelay(true); // a head and its body are written one after the other
+        _ = stream.set_nodelay(true); // because a head and its body are written separately
         let router = router.clone().layer(Extension(place.clone()));
         let line = TokioIo::new(Line { stream, place: place.clone(), stuck: None });
         let connection = server.serve_connection(line, TowerToHyperService::new(router)).with_upgrades();
@@ -137,21 +138,21 @@ async fn answer(Extension(place): Extension<Arc<Place>>, request: Request, next:
 
 #[derive(Clone, Copy, PartialEq)]
 enum Use {
-    Reading, // what is asked, or what was answered
+    Reading, // reading a request, or sent its answer
     Answering,
     Live, // a WebSocket
     Left,
 }
 
-/// Of one connection, as long as somebody holds it.
+/// One connection's place, as long as somebody holds it.
 pub struct Place {
     from: IpAddr,
-    state: Mutex<(Use, Instant)>, // since it moved last
+    state: Mutex<(Use, Instant)>, // with the time of its last progress
     left: Notify,
 }
 
 impl Place {
-    /// One address, or what counts as one.
+    /// The address, or the network that counts as one address.
     pub fn from(&self) -> IpAddr {
         self.from
     }
@@ -176,7 +177,7 @@ pub struct Places {
 }
 
 impl Places {
-    /// Connections that were let go or not let in because all places, or all of an address, were taken.
+    /// Connections that were closed or refused because all places, or all places of an address, were taken.
     pub fn refused(&self) -> u64 {
         self.refused.load(Relaxed)
     }
@@ -199,7 +200,7 @@ impl Places {
         Some(place)
     }
 
-    /// Makes it one of at most so many WebSockets, half of them of one address.
+    /// Makes the connection a WebSocket if there are fewer than `most`, and fewer than half of them from its address.
     pub fn make_live(&self, place: &Place, most: usize) -> bool {
         let taken = self.taken.lock().unwrap();
         let live: Vec<_> = taken.iter().filter_map(Weak::upgrade).filter(|other| other.is(Use::Live)).collect();
@@ -213,7 +214,7 @@ impl Places {
     }
 }
 
-/// Who has one address of version 6 has all 2^64 of its network.
+/// Whoever has one IPv6 address has all 2^64 of its network, so they count as one.
 fn household(from: IpAddr) -> IpAddr {
     match from.to_canonical() {
         IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() & !u128::from(u64::MAX)).into(),
@@ -221,11 +222,11 @@ fn household(from: IpAddr) -> IpAddr {
     }
 }
 
-/// To a reader, which must go on taking what is written.
+/// The stream to a reader. The reader must keep taking data, or it is disconnected.
 struct Line {
     stream: TcpStream,
     place: Arc<Place>,
-    stuck: Option<Pin<Box<Sleep>>>, // while it takes nothing
+    stuck: Option<Pin<Box<Sleep>>>, // runs while the reader takes nothing
 }
 
 impl Line {
@@ -240,7 +241,7 @@ impl Line {
     }
 }
 
-/// What a reader did not take would be kept by the kernel for minutes.
+/// Discards data that the reader did not take; the kernel would keep it for minutes.
 impl Drop for Line {
     fn drop(&mut self) {
         if self.stuck.is_some() || self.place.is(Use::Left) {
@@ -270,8 +271,8 @@ impl AsyncWrite for Line {
         self.poll_write(context, first)
     }
 
-    // So that what is written is kept in pieces, not copied into one. But writev raises SIGPIPE where the reader is gone, and send,
-    // as poll_write uses it, does not.
+    // True, so that hyper keeps its data in pieces instead of copying it into one. But poll_write_vectored must not call
+    // writev: that raises SIGPIPE if the reader is gone, while send, which poll_write uses, does not.
     fn is_write_vectored(&self) -> bool {
         true
     }

@@ -1,6 +1,7 @@
-//! What has arrived and was not polled yet. zenoh's threads push, one poller takes, both briefly. Every source (a
-//! subscription, a queryable, ...) has its own bound: a queue that refuses what is new, or one slot a key in which the newer
-//! replaces the older (zenoh has no such conflation). All together have one bound in bytes. Events leave in the order in which they came.
+//! Events that have arrived and were not polled yet. zenoh's threads push, one poller takes, both briefly. Every source (a
+//! subscription, a queryable, ...) has its own bound: a queue that refuses new events, or one slot per key in which a newer
+//! sample replaces the older one (zenoh has no such conflation). All sources together have one bound in bytes. Events leave in
+//! the order of their arrival.
 
 use crate::bytes::Aligned;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -9,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 
-/// As NetKind in net.h.
+/// The same values as NetKind in net.h.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Kind {
     Sample = 0,
@@ -33,15 +34,15 @@ pub type SourceId = usize;
 /// The answers to this session's own questions.
 pub const REPLIES: SourceId = 0;
 
-/// Keys that may wait in one latest-only subscription: a peer that invents keys must not fill the memory.
+/// Most keys that may wait in one latest-only subscription: a peer that invents keys must not fill the memory.
 const MAX_LATEST_KEYS: usize = 4096;
 
-/// Bytes of all that waits, four of the longest messages: nor must one that sends long messages.
+/// Most bytes of all that waits, four of the longest messages: a peer that sends long messages must not fill the memory either.
 const MAX_BYTES: usize = 256 << 20;
 
 struct Source {
     depth: usize,   // 0: latest only
-    longest: usize, // bytes of one that is taken
+    longest: usize, // most bytes of a sample or query
     waiting: usize,
     latest: HashMap<CString, u64>,
 }
@@ -62,7 +63,7 @@ struct State {
     bytes: usize,
     preferred: HashSet<CString>,
     sources: Vec<Source>,
-    free: Vec<SourceId>, // given back; what still waits of them is taken like the rest
+    free: Vec<SourceId>, // returned ids; their remaining events are taken as usual
 }
 
 impl State {
@@ -80,7 +81,7 @@ impl Event {
     }
 }
 
-/// What came, by fate. A sample or query is counted before the poller can see it.
+/// Counts of events by their fate. A sample or query is counted before the poller can see it.
 #[derive(Default)]
 pub struct Counts {
     pub received: AtomicU64,
@@ -134,7 +135,7 @@ impl Inbox {
         state.sources.len() - 1
     }
 
-    /// In place of those before.
+    /// Replaces the previous list.
     pub fn prefer(&self, keys: HashSet<CString>) {
         self.state.lock().unwrap().preferred = keys;
     }
@@ -143,7 +144,7 @@ impl Inbox {
         self.state.lock().unwrap().free.push(source);
     }
 
-    /// Tells before a copy is made whether it is too long for its source, and then counts it as such.
+    /// Whether an event is too long for its source; if so, counts it. Called before a copy is made.
     pub fn is_oversized(&self, source: SourceId, size: usize) -> bool {
         let oversized = size > self.state.lock().unwrap().sources[source].longest;
         if oversized {
@@ -152,7 +153,7 @@ impl Inbox {
         oversized
     }
 
-    /// Tells before a copy is made whether it would be refused, and then counts it as such.
+    /// Whether an event would be refused; if so, counts it. Called before a copy is made.
     pub fn refuses(&self, source: SourceId, kind: Kind, key: &CStr, size: usize) -> bool {
         let full = self.state.lock().unwrap().is_full(source, key, size);
         if full {
@@ -161,10 +162,10 @@ impl Inbox {
         full
     }
 
-    /// False: refused and counted.
+    /// Returns false if the event was refused and counted.
     pub fn push(&self, source: SourceId, event: Event) -> bool {
         let mut state = self.state.lock().unwrap();
-        // The end of the answers always passes: the asker waits for it, and there is one a question.
+        // The end of the answers always passes: the asker waits for it, and there is only one per question.
         if state.is_full(source, &event.key, event.size()) && event.kind != Kind::ReplyEnd {
             self.counts.refused(event.kind);
             return false;
@@ -191,7 +192,7 @@ impl Inbox {
         true // `replaced` is freed here, outside the lock
     }
 
-    /// Waits for something, then moves up to `most` events to the end of `out`.
+    /// Waits for an event, then appends up to `most` events to `out`.
     pub fn take(&self, most: usize, timeout: Duration, out: &mut Vec<Event>) {
         let mut state = self.state.lock().unwrap();
         if !timeout.is_zero() {

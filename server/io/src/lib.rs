@@ -1,5 +1,5 @@
-//! zenoh sessions, MCAP files, and pages over HTTP, as C functions: c.rs and c/ have them and all unsafe code. Nothing here knows
-//! what the bytes mean.
+//! zenoh sessions, MCAP files, and pages over HTTP, as C functions. c.rs and c/ contain these functions and all unsafe code.
+//! This library does not interpret the bytes.
 
 mod bytes;
 mod c;
@@ -14,6 +14,6 @@ mod reader;
 mod recorder;
 mod web;
 
-/// CMake's hash of these sources. Cargo compares a file's time, not its contents, and identifies this crate by its name: without
+/// CMake's hash of these sources. Cargo compares a file's time, not its content, and identifies this crate by its name. Without
 /// the hash, two checkouts that share a build cache could get each other's library.
 const _SOURCES: Option<&str> = option_env!("CRUMPLE_TRANSPORT_SOURCES");

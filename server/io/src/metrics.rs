@@ -1,4 +1,4 @@
-//! One page of text over HTTP, for Prometheus. The owner replaces it whole.
+//! One page of text over HTTP, for Prometheus. The caller replaces the whole page.
 
 use crate::fail::Fail;
 use crate::http::{Door, Places};
@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use std::ffi::CString;
 use std::sync::{Arc, Mutex};
 
-/// Readers at a time: some of Prometheus, each of which keeps a connection or two.
+/// Most readers at a time: a few Prometheus servers, each of which keeps a connection or two.
 const MAX_READERS: usize = 64;
 
 struct Shared {

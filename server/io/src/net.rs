@@ -1,6 +1,7 @@
-//! A zenoh session, pull-based. Out: threads do every zenoh call that could wait: one publishes, one asks, and up to eight answer,
-//! so that an asker who takes nothing holds up neither the streams nor other askers. In: zenoh's callbacks copy into the bounded inbox and wake the
-//! poller, nothing else. Samples are sent with Drop: a frozen subscriber loses samples, the others none.
+//! A zenoh session without callbacks to the caller. Outgoing: threads make every zenoh call that could wait. One publishes, one
+//! asks, and up to eight answer, so that an asker that takes nothing delays neither the streams nor other askers. Incoming:
+//! zenoh's callbacks only copy into the bounded inbox and wake the poller. Samples are sent with Drop: a frozen subscriber
+//! loses samples, the others none.
 
 use crate::bytes::Aligned;
 use crate::config::{self, MAX_MESSAGE};
@@ -23,33 +24,34 @@ use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-/// Samples that wait for the publishing thread; it is behind only while zenoh waits for a slow link (1 ms a sample at most).
+/// Samples that wait for the publishing thread. It lags only while zenoh waits for a slow link (1 ms per sample at most).
 const PUT_BYTES: usize = 32 << 20;
 const PUT_ITEMS: usize = 1 << 16;
-/// Questions and declarations that wait for their thread, and answers that wait for theirs.
+/// Questions and declarations that wait for the asking thread, and answers that wait for the answering threads.
 const ASK_BYTES: usize = 64 << 20;
 const ASK_ITEMS: usize = 1 << 14;
-/// Threads that answer, begun when those before them are busy: zenoh waits in them for a line that takes nothing, 1 s at most. It does
-/// not say who asked, so whoever leaves eight answers of more than a line holds untaken still holds the others up.
+/// Most answering threads; a new one starts when the others are busy. zenoh waits in them for a link that takes nothing, at
+/// most 1 s. It does not say who asked, so an asker that leaves eight answers of more than a link holds untaken still delays
+/// the others.
 const MAX_ANSWERING: usize = 8;
 /// Answers to our questions that were not polled yet.
 const MAX_REPLIES: usize = 4096;
-/// Queries that were polled and not answered yet; beyond it the oldest is given up, so that its asker hears the end.
+/// Most queries that were polled and not answered yet. Beyond it the oldest is given up, so that its asker gets the end.
 const MAX_OPEN_QUERIES: usize = 4096;
-/// Bytes of a key, and of the parameters of a question, that come in: the longest of ours have 83, and questions have no parameters.
+/// Most bytes of a received key, and of a query's parameters: our longest keys have 83, and our queries have no parameters.
 const MAX_KEY: usize = 256;
-/// Keys that this session publishes on: 1,000 cars have 4,000, and hosts one each. 10 KB each with what zenoh keeps.
+/// Most keys on which this session publishes: 1,000 cars have 4,000, hosts one each. Each takes 10 KB, zenoh's part included.
 const MAX_KEYS: usize = 1 << 13;
-/// Of the question by which a session that closes learns that all it sent has come: whoever may watch may ask there, and no scene's id
-/// has such a character.
+/// The key of the query by which a closing session learns that everything it sent has arrived. Whoever may watch may query it,
+/// and no scene's id contains this character.
 const LAST_KEY: &str = "crumple/1/~/health";
 const LAST_WAIT: Duration = Duration::from_secs(1);
-/// Keys that are preferred: two of each of 64 hosts, twice.
+/// Most preferred keys: two of each of 64 hosts, twice.
 const MAX_PREFERRED: usize = 256;
 /// Alive and gone reports that were not polled yet.
 const MAX_REPORTS: usize = 1 << 16;
-/// Questions have a priority that no sample has: zenoh keeps a queue each, and an answer inherits it from the question, so a
-/// blocked answer never stands before a sample.
+/// Queries have a priority that no sample has. zenoh keeps a queue per priority, and an answer inherits its query's, so a
+/// blocked answer never delays a sample.
 const ASK_PRIORITY: Priority = Priority::DataHigh;
 
 #[derive(Default)]
@@ -59,7 +61,7 @@ pub struct Sent {
     pub put_dropped: AtomicU64,
 }
 
-/// A key that this session publishes on.
+/// A key on which this session publishes.
 struct Key {
     name: KeyExpr<'static>,
     index: u64,
@@ -88,13 +90,13 @@ struct Answer {
     failed: bool,
 }
 
-/// A query and the key to answer it under.
+/// A query, and the key for its answer.
 struct Waiting {
     query: Query,
     key: KeyExpr<'static>,
 }
 
-/// What the callbacks need.
+/// The data that the callbacks need.
 struct Shared {
     inbox: Inbox,
     open_queries: Mutex<BTreeMap<u64, Box<Waiting>>>,
@@ -162,7 +164,7 @@ impl Net {
         })
     }
 
-    /// Publishes and answers what is queued, undeclares everything, closes the session.
+    /// Publishes and answers what is queued, undeclares everything, and closes the session.
     pub fn close(mut self) {
         self.puts.close();
         self.asks.close();
@@ -191,7 +193,7 @@ impl Net {
         (&self.sent, &self.shared.inbox.counts)
     }
 
-    /// That this session publishes on.
+    /// Number of keys on which this session publishes.
     pub fn key_count(&self) -> usize {
         self.keys.lock().unwrap().len()
     }
@@ -222,13 +224,13 @@ impl Net {
         Ok(self.key(key)?.matching.load(Relaxed))
     }
 
-    /// Nothing is published any more on the keys that begin so, until something is.
+    /// Undeclares the keys with this prefix, until the next put on them.
     pub fn withdraw(&self, prefix: &str) {
         let mut keys = self.keys.lock().unwrap();
         let from = (Bound::Included(prefix), Bound::Unbounded);
         let names = keys.range::<str, _>(from).map(|(name, _)| name).take_while(|name| name.starts_with(prefix));
         for name in names.cloned().collect::<Vec<_>>() {
-            // one that the full queue does not take stays declared
+            // if the queue is full, this one stays declared
             if self.puts.push(Put::Withdraw(keys[&name].clone()), 0).is_ok() {
                 keys.remove(&name);
             }
@@ -291,7 +293,7 @@ impl Net {
         self.shared.answer(Answer { query, data: data.to_vec(), failed }, data.len()).map_err(refusal)
     }
 
-    /// What was polled before is freed, then up to `most` events are put into `polled`.
+    /// Frees the events of the last poll, then puts up to `most` new ones into `polled`.
     pub fn poll(&self, polled: &mut Vec<Event>, most: usize, timeout_us: u64) {
         polled.clear();
         self.shared.inbox.take(most, Duration::from_micros(timeout_us), polled);
@@ -318,8 +320,8 @@ impl Net {
     }
 }
 
-/// A socket does not linger at its end (.cargo/config.toml). A question of the lowest priority, that nobody answers, comes back from
-/// the other end of a line after all that was sent before it.
+/// A socket does not linger at its end (.cargo/config.toml). So this sends a query of the lowest priority that nobody answers:
+/// its end comes back from the other end of a link after everything that was sent before it.
 fn reach_the_other_end(session: &Session) {
     let (ended, end) = std::sync::mpsc::channel::<()>();
     let asked = session
@@ -329,21 +331,22 @@ fn reach_the_other_end(session: &Session) {
         .congestion_control(CongestionControl::Block)
         .priority(Priority::Background)
         .allowed_destination(Locality::Remote)
-        .callback(move |_| _ = &ended) // dropped at the end
+        .callback(move |_| _ = &ended) // dropped when the query ends
         .wait();
     if asked.is_ok() {
         _ = end.recv_timeout(LAST_WAIT);
     }
 }
 
-/// zenoh 1.10 lets one thread read a TLS stream while another writes to it, and the stream has no lock (zenoh's issue 2557):
-/// with traffic both ways the link breaks ("handshake not complete": every tenth short session of tests/service/operate_test.cpp). On
-/// one thread they take turns. zenoh reads this once, before the process's first session; what the user has set stands.
+/// In zenoh 1.10 one thread may read a TLS stream while another writes to it, without a lock (zenoh's issue 2557). With traffic
+/// in both directions the link breaks ("handshake not complete": every tenth short session of tests/service/operate_test.cpp).
+/// On one thread reading and writing alternate. zenoh reads this setting once, before the process's first session. A value that
+/// the user has set stays.
 fn one_thread_for_tls() {
     static ONCE: std::sync::Once = std::sync::Once::new();
     ONCE.call_once(|| {
         if std::env::var_os("ZENOH_RUNTIME").is_none() {
-            // SAFETY: as with setenv, no other thread may read the environment in this moment: crumple_client.h says so.
+            // SAFETY: as with setenv, no other thread may read the environment at this moment; crumple_client.h says so.
             unsafe { std::env::set_var("ZENOH_RUNTIME", "(rx: (worker_threads: 1), tx: (handover: rx))") };
         }
     });
@@ -395,20 +398,20 @@ fn publish(session: &Session, puts: &Queue<Put>) {
                 watch_matching(session, &key, publishers.entry(key.index).or_default());
             }
             Next::Item(Put::Sample(key, priority, data)) => {
-                // one that was withdrawn meanwhile has none
+                // a key that was withdrawn meanwhile has no publishers
                 let declared = publishers.get_mut(&key.index);
                 if let Some(publisher) = declared.and_then(|declared| publisher(session, &key, priority, declared)) {
-                    _ = publisher.put(data).wait(); // fails only when the session is closed
+                    _ = publisher.put(data).wait(); // fails only if the session is closed
                 }
             }
-            Next::Item(Put::Withdraw(key)) => _ = publishers.remove(&key.index), // dropped, so undeclared
+            Next::Item(Put::Withdraw(key)) => _ = publishers.remove(&key.index), // dropping them undeclares them
             Next::TimedOut => {}
             Next::Closed => return,
         }
     }
 }
 
-/// One publisher a key and priority (nearly always one a key), declared when first used and kept until it is withdrawn.
+/// One publisher per key and priority (nearly always one per key), declared at first use and kept until the key is withdrawn.
 fn publisher<'a>(
     session: &Session,
     key: &Key,
@@ -420,7 +423,7 @@ fn publisher<'a>(
             .declare_publisher(key.name.clone())
             .congestion_control(CongestionControl::Drop)
             .priority(priority)
-            .express(priority == Priority::RealTime) // not batched with what follows
+            .express(priority == Priority::RealTime) // not batched with later samples
             .allowed_destination(Locality::Remote)
             .wait();
         declared.insert(priority as u8, publisher.ok()?);
@@ -439,7 +442,7 @@ fn watch_matching(session: &Session, key: &Arc<Key>, declared: &mut HashMap<u8, 
 // ---- the asking thread ----
 
 fn ask(session: &Session, shared: &Arc<Shared>, asks: &Queue<Ask>) {
-    let mut declared: Vec<Box<dyn Any>> = Vec::new(); // dropped, so undeclared, at the end
+    let mut declared: Vec<Box<dyn Any>> = Vec::new(); // dropped at the end, which undeclares them
     let mut tokens = HashMap::new();
     let mut subscribers = HashMap::new();
     loop {
@@ -476,7 +479,7 @@ fn ask(session: &Session, shared: &Arc<Shared>, asks: &Queue<Ask>) {
             Next::TimedOut => Ok(()),
             Next::Closed => return,
         };
-        _ = done; // keys were checked by the caller, so zenoh refuses only on a closed session
+        _ = done; // the caller has checked the keys, so zenoh refuses only on a closed session
     }
 }
 
@@ -488,13 +491,13 @@ impl Shared {
         let mut answering = self.answering.lock().unwrap();
         if self.answers.is_behind() && answering.len() < MAX_ANSWERING {
             let shared = self.clone();
-            // one that cannot be had is missed only while those before it wait
+            // if no thread can be had, answers only wait longer
             answering.extend(thread("net answer", move || shared.work()));
         }
         Ok(())
     }
 
-    /// An asker who is gone needs no answer.
+    /// Ignores failures: an asker that is gone needs no answer.
     fn work(&self) {
         while let Next::Item(Answer { query, data, failed }) = self.answers.pop(None) {
             _ = if failed { query.query.reply_err(data).wait() } else { query.query.reply(&query.key, data).wait() };
@@ -525,7 +528,7 @@ fn get(
         .wait()
 }
 
-/// A question under way. zenoh drops it after the last answer or the timeout: that is the end that the asker is told.
+/// A question under way. zenoh drops it after the last answer or the timeout; the drop reports the end to the asker.
 struct Asked {
     shared: Arc<Shared>,
     key: CString,
@@ -558,7 +561,7 @@ impl Drop for Asked {
 
 impl Shared {
     fn sample(&self, source: SourceId, sample: &Sample) {
-        // Nothing here deletes keys; a delete has no payload to hand on.
+        // Nothing in our protocol deletes keys, and a delete has no payload to deliver.
         let bad = sample.kind() == SampleKind::Delete || !is_plain(sample.key_expr());
         let key = c_key(sample.key_expr());
         if bad {
@@ -580,8 +583,8 @@ impl Shared {
         self.inbox.push(source, Event { kind, failed: false, key, data: Aligned::default(), ticket: 0 });
     }
 
-    /// A query is answered under the queryable's own key, or, where that names many, under the key asked for. What it brought is
-    /// not kept with it until then.
+    /// A query is answered under the queryable's own key or, if that names many, under the query's key. Its payload is not kept
+    /// until it is answered.
     fn query(self: &Arc<Self>, source: SourceId, own: &KeyExpr<'static>, mut query: Query) {
         let ticket = self.tickets.fetch_add(1, Relaxed);
         let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
@@ -607,7 +610,7 @@ impl Shared {
         drop(payload);
         let answer_key = if own.is_wild() { query.key_expr().clone() } else { own.clone() };
         let waiting = Box::new(Waiting { query, key: answer_key });
-        // before the poller can see the ticket
+        // must happen before the poller can see the ticket
         let given_up = {
             let mut open = self.open_queries.lock().unwrap();
             open.insert(ticket, waiting);
@@ -630,7 +633,7 @@ fn aligned(payload: &ZBytes) -> Aligned {
     Aligned::gather(payload.len(), payload.slices())
 }
 
-/// A key expression may hold a zero byte, at which it would end as a C string and be another, and is up to 64 KB long.
+/// A key expression may contain a zero byte, at which it would end as a C string and become another key; and it may have 64 KB.
 fn is_plain(key: &KeyExpr<'_>) -> bool {
     key.as_str().len() <= MAX_KEY && !key.as_str().contains('\0')
 }

@@ -1,5 +1,5 @@
-//! A bounded queue from any thread to one worker thread, or a few. What comes in: items with a size; what goes out: the same items in
-//! order. Never makes the giver wait: a full queue refuses, and the giver counts it.
+//! A bounded queue from any thread to one or a few worker threads. Items have a size and leave in order. Pushing never waits: a
+//! full queue refuses the item, and the caller counts it.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex};
@@ -36,7 +36,7 @@ impl<T> Queue<T> {
         Queue { state: Mutex::new(state), changed: Condvar::new(), max_bytes, max_items }
     }
 
-    /// Takes the item unless the bound is already reached; so one item larger than the bound still passes an empty queue.
+    /// Takes the item unless the bound is already reached; so an empty queue takes even an item larger than the bound.
     pub fn push(&self, item: T, bytes: usize) -> Result<(), Refused> {
         let mut state = self.state.lock().unwrap();
         if state.closed {
@@ -55,13 +55,13 @@ impl<T> Queue<T> {
         Ok(())
     }
 
-    /// Whether more items wait than threads do.
+    /// Whether more items than threads wait.
     pub fn is_behind(&self) -> bool {
         let state = self.state.lock().unwrap();
         state.items.len() > state.popping
     }
 
-    /// The next item; after close, what is left and then Closed.
+    /// The next item; after close() the remaining items, then Closed.
     pub fn pop(&self, timeout: Option<Duration>) -> Next<T> {
         let mut state = self.state.lock().unwrap();
         let idle = |state: &mut State<T>| state.items.is_empty() && !state.closed;

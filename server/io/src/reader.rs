@@ -1,6 +1,6 @@
-//! Reads an MCAP file that may be whole, cut off at any byte, damaged or hostile. In: the file; out: its messages in file
-//! order, its attachments and metadata. A first pass steps over the records by their lengths and finds where the last whole one
-//! ends; the messages are then streamed from that part alone, one chunk in memory, every chunk checked against its sum.
+//! Reads an MCAP file that may be whole, cut off at any byte, damaged or hostile. Gives its messages in file order, its
+//! attachments and its metadata. A first pass steps over the records by their lengths and finds the end of the last whole
+//! record. Then only that part is streamed, with one chunk in memory; every chunk's checksum is verified.
 
 use crate::bytes::Aligned;
 use crate::fail::{BAD_FILE, Fail, IO, causes};
@@ -13,16 +13,17 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom, Take};
 use std::rc::Rc;
 
-/// One record in memory: protects from a length that a damaged or hostile file claims.
+/// Most bytes of one record in memory: protects against the lengths that a damaged or hostile file claims.
 const MAX_RECORD: u64 = 256 << 20;
 const RECORD_HEAD: u64 = 9; // opcode, length
-/// What a chunk holds when it is unpacked: ours 256 KiB and a message, those of the mcap tool 4 MiB; the longest message that
-/// is recorded has 32 MiB.
+/// Most bytes of an unpacked chunk. Ours have 256 KiB and a message, those of the mcap tool 4 MiB; the longest recorded message
+/// has 32 MiB.
 const MAX_CHUNK: u64 = 64 << 20;
-/// Bytes that a chunk holds for each that it takes. LZ4 gives 255 at most; zstd gives 32,000, but not of what a tick gives.
+/// Most bytes that a chunk unpacks to, per byte of its size. LZ4 gives at most 255; zstd up to 32,000, but not for a tick's
+/// data.
 const MAX_RATIO: u64 = 256;
-const CHUNK_HEAD: usize = 24; // two times, the bytes that it claims to hold
-/// Of schemas and channels, which are kept to the end: ours take 20 kB, and 60,000 channels 6 MB.
+const CHUNK_HEAD: usize = 24; // two times, the claimed unpacked size
+/// Most bytes of schemas and channels, which are kept to the end: ours take 20 kB, and 60,000 channels 6 MB.
 const MAX_NAMES: usize = 64 << 20;
 
 pub struct Attachment {
@@ -57,7 +58,7 @@ pub struct Reader {
     stream: Stream,
     schemas: HashMap<u16, Rc<Schema>>,
     channels: HashMap<u16, (CString, Rc<Schema>)>, // topic, schema
-    names: usize, // bytes of all that were declared so, also of those in whose place others are
+    names: usize,                                  // bytes of all declarations so far, including replaced ones
     current: Aligned,
     failed: Option<Fail>,
 }
@@ -105,7 +106,7 @@ impl Reader {
         self.stream.restart(&self.contents).map_err(|e| Fail::new(IO, format!("{}: cannot be read ({e})", self.path)))
     }
 
-    /// After a failure always the same failure: what follows a damaged record cannot be trusted.
+    /// After a failure always returns the same failure: what follows a damaged record cannot be trusted.
     pub fn next(&mut self) -> Result<Option<Message<'_>>, Fail> {
         if let Some(fail) = &self.failed {
             return Err(fail.clone());
@@ -113,7 +114,7 @@ impl Reader {
         match self.advance() {
             Ok(None) => Ok(None),
             Ok(Some(header)) => {
-                let (topic, schema) = &self.channels[&header.channel_id]; // advance has seen it
+                let (topic, schema) = &self.channels[&header.channel_id]; // advance() has checked it
                 let (sequence, log_time, publish_time) = (header.sequence, header.log_time, header.publish_time);
                 Ok(Some(Message { topic, schema, data: self.current.as_slice(), sequence, log_time, publish_time }))
             }
@@ -130,12 +131,12 @@ impl Reader {
         self.failed.insert(fail).clone()
     }
 
-    /// Streams on to the next message, learning schemas and channels on the way.
+    /// Streams to the next message and records schemas and channels on the way.
     fn advance(&mut self) -> Result<Option<mcap::records::MessageHeader>, String> {
         while let Some(event) = self.stream.linear.next_event() {
             match event.map_err(|e| causes(&e))? {
                 LinearReadEvent::ReadRequest(need) => {
-                    // A record in a chunk may claim any length: room is made for no more than the file still has.
+                    // A record in a chunk may claim any length: allocate no more than the file still has.
                     let need = need.min(self.stream.file.limit() as usize).max(1);
                     let got = self.stream.file.read(self.stream.linear.insert(need)).map_err(|e| e.to_string())?;
                     self.stream.linear.notify_read(got);
@@ -196,7 +197,7 @@ impl Stream {
     fn restart(&mut self, contents: &Contents) -> std::io::Result<()> {
         self.file.get_mut().seek(SeekFrom::Start(0))?;
         self.file.set_limit(contents.end);
-        // A prefix of the magic has no records; the reader must not look for the rest of it.
+        // A prefix of the magic has no records; the reader must not wait for the rest of the magic.
         self.linear = LinearReader::new_with_options(
             LinearReaderOptions::default()
                 .with_skip_start_magic(contents.end == 0)
@@ -220,7 +221,7 @@ impl From<std::io::Error> for Trouble {
     }
 }
 
-/// What the first pass found. The data section ends at `end`: after the record that says so, or after the last whole record.
+/// Results of the first pass. The data section ends at `end`: after its end record, or after the last whole record.
 #[derive(Default)]
 struct Contents {
     end: u64,
@@ -285,7 +286,7 @@ impl Contents {
                 break;
             }
         }
-        // A file that was cut does not end in the magic bytes; one that does has a false length inside.
+        // A cut file does not end with the magic bytes. A file that does contains a wrong length.
         if contents.cut && ends_in_magic(file, length)? {
             contents.cut = false;
             contents.damage = Some(format!("the record at byte {at} claims more bytes than the file has"));
@@ -309,8 +310,8 @@ impl Contents {
     }
 }
 
-/// Opcode and length of the next record, if all of it lies within the `left` bytes. No record has opcode 0: that is a tail of
-/// zeros, as file systems leave it after a power cut.
+/// Opcode and length of the next record, if all of it lies within the `left` bytes. No record has opcode 0: zeros are a tail
+/// that file systems leave after a power failure.
 fn record_head(file: &mut BufReader<File>, left: u64) -> std::io::Result<Option<(u8, u64)>> {
     if left < RECORD_HEAD {
         return Ok(None);
@@ -332,8 +333,8 @@ fn ends_in_magic(file: &mut BufReader<File>, length: u64) -> std::io::Result<boo
     Ok(tail == MAGIC)
 }
 
-/// mcap 0.26 makes room for as many bytes as a string says it has, up to 4 GiB, and slices `body[..size - 4]` of an attachment,
-/// before it looks whether they are there.
+/// mcap 0.26 allocates as many bytes as a string's length claims, up to 4 GiB, and slices `body[..size - 4]` of an attachment,
+/// before it checks that they exist. So this checks the lengths first.
 fn lengths_fit(opcode: u8, body: &[u8]) -> bool {
     let (numbers, strings) = match opcode {
         op::SCHEMA => (2, 2),      // id; name, encoding
@@ -345,9 +346,9 @@ fn lengths_fit(opcode: u8, body: &[u8]) -> bool {
     let rest = body.get(numbers..).and_then(|rest| after_strings(rest, strings));
     match (opcode, rest) {
         (_, None) => false,
-        (op::SCHEMA, _) => true, // its data is looked at
+        (op::SCHEMA, _) => true, // mcap checks its data
         (op::ATTACHMENT, Some(rest)) => {
-            let length = rest.split_first_chunk::<8>(); // data and a sum of 4 bytes follow
+            let length = rest.split_first_chunk::<8>(); // then data and a checksum of 4 bytes
             length.is_some_and(|(length, after)| after.len() >= 4 && u64::from_le_bytes(*length) == after.len() as u64 - 4)
         }
         (_, Some(rest)) => {
@@ -363,7 +364,7 @@ fn lengths_fit(opcode: u8, body: &[u8]) -> bool {
     }
 }
 
-/// What follows `count` strings, each a u32 length and its bytes.
+/// The bytes after `count` strings, each of which is a u32 length and its bytes.
 fn after_strings(mut rest: &[u8], count: usize) -> Option<&[u8]> {
     for _ in 0..count {
         let (length, after) = rest.split_first_chunk::<4>()?;
@@ -379,7 +380,7 @@ fn parse(opcode: u8, body: &[u8]) -> Result<Record<'_>, String> {
     mcap::parse_record(opcode, body).map_err(|e| causes(&e))
 }
 
-/// C strings end at the first zero byte; a name that holds one is shortened there.
+/// C strings end at the first zero byte, so a name that contains one is cut off there.
 fn c_string(text: String) -> CString {
     let mut bytes = text.into_bytes();
     bytes.truncate(bytes.iter().position(|b| *b == 0).unwrap_or(bytes.len()));

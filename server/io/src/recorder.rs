@@ -1,6 +1,6 @@
-//! Writes an MCAP file on a thread of its own. In: schemas, channels, messages, attachments, metadata, each copied into a
-//! bounded queue; out: a file of whole records only (chunks are built in memory, nothing is patched later), flushed and synced
-//! in good time, so that a kill -9 loses no more than the last second. What could not be written is counted, never hidden.
+//! Writes an MCAP file on its own thread. Schemas, channels, messages, attachments and metadata are copied into a bounded
+//! queue. The file has only whole records (chunks are built in memory, nothing is patched later). It is flushed and synced
+//! often enough that kill -9 loses no more than the last second. Messages that could not be written are counted, never hidden.
 
 use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO, causes};
 use crate::queue::{Next, Queue, Refused};
@@ -19,19 +19,19 @@ use std::time::{Duration, Instant};
 
 const QUEUE_BYTES: usize = 64 << 20;
 const QUEUE_ITEMS: usize = 1 << 20;
-/// uncompressed; a reader holds one chunk at a time
+/// size before compression; a reader holds one chunk at a time
 const CHUNK_BYTES: u64 = 256 << 10;
-/// The promise is one second; a tenth of it is for the disk.
+/// The promise is one second; a tenth of it is left for the disk.
 const SYNC_PERIOD: Duration = Duration::from_millis(900);
-/// At least so much between two of them, that a disk which takes longer than that gets whole chunks.
+/// Least pause between two syncs, so that a disk that takes longer than a second gets whole chunks.
 const SYNC_PAUSE: Duration = Duration::from_millis(100);
-/// What the index takes of memory until the file is closed, in bytes, rounded up from what was measured: for a channel, for each
-/// byte of its topic (here and at the caller), for a chunk, for each channel that has a message in it.
+/// Memory of the index until the file is closed, in bytes, rounded up from measurements: per channel, per byte of its topic
+/// (here and at the caller), per chunk, and per channel that has a message in a chunk.
 const INDEX_OF_CHANNEL: u64 = 448;
 const INDEX_OF_TOPIC: u64 = 2;
 const INDEX_OF_CHUNK: u64 = 256;
 const INDEX_OF_CHANNEL_IN_CHUNK: u64 = 30;
-/// Of a message in a chunk: opcode, length, channel, sequence, two times.
+/// Head of a message in a chunk: opcode, length, channel, sequence, two times.
 const MESSAGE_HEAD: u64 = 31;
 /// MCAP numbers schemas and channels in 16 bits, from 1.
 const MAX_IDS: usize = 65_535;
@@ -64,7 +64,7 @@ impl Recorder {
             |why: String| Fail::new(IO, format!("{path}: cannot record there: {why}; name a file in a writable folder"));
         let file = File::create(path).map_err(|e| cannot(e.to_string()))?;
         let sync = file.try_clone().map_err(|e| cannot(e.to_string()))?;
-        // LZ4, not zstd: poses and deltas are small and partly compressed already, and the tick's cores are worth more.
+        // LZ4, not zstd: poses and deltas are small and partly compressed already, and the tick needs the processor more.
         let writer = WriteOptions::new()
             .profile(profile)
             .library(library)
@@ -84,7 +84,7 @@ impl Recorder {
             channels: Vec::new(),
             chunk: Chunk { number: 1, bytes: 0 },
             unsynced: 0,
-            sync_at: Instant::now(), // the header
+            sync_at: Instant::now(), // at once, for the header
         };
         let items = queue.clone();
         let thread = std::thread::Builder::new()
@@ -94,7 +94,7 @@ impl Recorder {
         Ok(Recorder { queue, shared, ids: Mutex::new((0, 0)), thread })
     }
 
-    /// Ids count from 0 in the order of the calls, which is also their order in the queue: hence under the lock.
+    /// Ids count from 0 in the order of the calls, which must also be their order in the queue; so both happen under the lock.
     pub fn schema(&self, name: String, bfbs: Vec<u8>) -> Result<usize, Fail> {
         let mut ids = self.ids.lock().unwrap();
         if ids.0 >= MAX_IDS {
@@ -172,25 +172,25 @@ fn bad(sentence: String) -> Fail {
 
 type Sink = Writer<NoSeek<BufWriter<File>>>;
 
-/// The thread's side.
+/// The state of the writing thread.
 struct Scribe {
     path: String,
-    writer: Option<Sink>, // None after the first trouble
+    writer: Option<Sink>, // None after the first failure
     sync: File,
     shared: Arc<Shared>,
-    schemas: Vec<u16>, // our ids -> the file's
+    schemas: Vec<u16>, // our ids -> ids in the file
     channels: Vec<Channel>,
     chunk: Chunk,
-    unsynced: u64, // messages since the last sync: lost if the disk refuses them
+    unsynced: u64, // messages since the last sync; they are lost if the disk fails
     sync_at: Instant,
 }
 
 struct Channel {
-    id: u16,         // the file's
-    last_chunk: u64, // that has a message of it
+    id: u16,         // id in the file
+    last_chunk: u64, // the last chunk with a message of this channel
 }
 
-/// The one that mcap fills now, as far as the index grows with it.
+/// The chunk that mcap fills now, as far as it matters to the index.
 struct Chunk {
     number: u64,
     bytes: u64,
@@ -211,7 +211,7 @@ impl Scribe {
                     writer.flush()?;
                     scribe.synced()
                 });
-                // From its begin: what came meanwhile has waited already.
+                // Counted from the begin of the sync: later messages have already waited.
                 self.sync_at = (begun + SYNC_PERIOD).max(Instant::now() + SYNC_PAUSE);
             }
         }
@@ -232,14 +232,14 @@ impl Scribe {
             self.count_lost();
             return;
         }
-        // Without these nothing of a file can be used.
+        // Without these no part of a file can be used, so sync at once.
         if matches!(item, Item::Attachment { .. } | Item::Metadata { .. }) {
             self.sync_at = Instant::now();
         }
         self.attempt(|scribe, writer| scribe.write(writer, item));
     }
 
-    /// Runs one step on the file, if it is still sound; the first failure ends the file, since mcap cannot resume after one.
+    /// Runs one step on the file if it is still sound. The first failure ends the file, because mcap cannot resume after one.
     fn attempt(&mut self, step: impl FnOnce(&mut Scribe, &mut Sink) -> McapResult<()>) {
         let Some(mut writer) = self.writer.take() else { return };
         match step(self, &mut writer) {
@@ -269,7 +269,7 @@ impl Scribe {
         Ok(())
     }
 
-    /// mcap ends a chunk before the message that finds it full.
+    /// mcap ends a full chunk before it adds the next message.
     fn count_in_index(&mut self, channel: usize, size: usize) {
         if self.chunk.bytes > CHUNK_BYTES {
             self.end_chunk();

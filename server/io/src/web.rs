@@ -1,8 +1,8 @@
-//! Pages over HTTP and one WebSocket, /live, for browsers. The owner sets what stands under a path and, apart from that, a state:
-//! bytes under keys. Every browser is brought up to the state again and again: it gets what was set since the last batch that it
-//! got, each key once, and the next batch when it has answered, so that a slow or frozen one costs no more than the batches it has
-//! not answered yet, and finds the present when it goes on. A large state goes in several batches. What a browser says there beside
-//! that is not looked at. Where the owner takes requests (POST), they wait for it in a bounded line.
+//! Pages over HTTP and one WebSocket, /live, for browsers. The caller sets pages by path and, separately, a state: bytes under
+//! keys. Every browser gets the changes of the state in batches. A batch holds everything that was set since the browser's last
+//! one, each key once. The browser answers each batch and gets no more while too many are unanswered. So a slow or frozen
+//! browser costs only its unanswered batches, and later continues with the present state. A large state is sent in several
+//! batches. Other messages of a browser are ignored. If the caller takes requests (POST), they wait for it in a bounded queue.
 
 use crate::fail::{BAD_ARGUMENT, Fail};
 use crate::http::{Door, PATIENCE, Place, Places};
@@ -23,25 +23,25 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-/// Batches that a browser may have unanswered: enough for 60 a second over a line of 60 ms there and back.
+/// Most unanswered batches of a browser: enough for 60 a second over a line with a round trip of 60 ms.
 const WINDOW: usize = 4;
-/// A batch waits so long for what else belongs to its tick.
+/// How long a batch waits for more data of its tick.
 const GATHER: Duration = Duration::from_millis(4);
-/// Bytes of a batch, or one slot, if that is longer: so much, twice, is copied for a browser that does not read. The rest of what
+/// Bytes of a batch, or one slot if that is longer. For a browser that does not read, this much is copied twice; the rest that
 /// it waits for is shared with the state.
 const MAX_BATCH: usize = 256 << 10;
-/// At a time, half of them of one address.
+/// Most browsers at a time, half of them from one address.
 const MAX_BROWSERS: usize = 256;
-/// Connections at a time: those of the browsers, and as many that ask for pages.
+/// Most connections at a time: the browsers', and as many for pages.
 const MAX_CONNECTIONS: usize = 2 * MAX_BROWSERS;
-/// Bytes of a message of a browser, and of what is read at once: answers are empty.
+/// Most bytes of a browser's message, and of one read: answers are empty.
 const MAX_ANSWER: usize = 1024;
 
-/// Of what is posted: a regions file of 8,000 dabs.
+/// Most bytes of a POST request: a regions file of 8,000 dabs.
 const MAX_REQUEST: usize = 1 << 20;
-/// Requests at a time that arrive or wait, half of them of one address.
+/// Most requests that arrive or wait at a time, half of them from one address.
 const MAX_WAITING: usize = 64;
-/// Until a request must have been answered.
+/// Time in which a request must arrive, and in which it must be answered.
 const ANSWERED: Duration = Duration::from_secs(30);
 
 pub struct Asked {
@@ -50,7 +50,7 @@ pub struct Asked {
     pub data: Bytes,
 }
 
-/// Requests that nobody has taken, and whoever waits for their answers, by ticket.
+/// Requests that the caller has not taken, and the browsers that wait for answers, by ticket.
 #[derive(Default)]
 struct Requests {
     last: u64,
@@ -65,7 +65,7 @@ impl Requests {
     }
 }
 
-/// A browser that waits; one that goes leaves nothing behind.
+/// A browser that waits for an answer. When it disconnects, its request is removed.
 struct Waiting {
     shared: Arc<Shared>,
     ticket: u64,
@@ -87,7 +87,7 @@ struct Slot {
     since: Instant,
 }
 
-/// By the number of their setting, so that what is newer than a number is a range.
+/// Slots by the number of their setting, so that all slots newer than a number are a range.
 #[derive(Default)]
 struct Slots {
     last: u64,
@@ -96,7 +96,7 @@ struct Slots {
 }
 
 impl Slots {
-    /// What was set after number `sent`, in that order, and the last number.
+    /// The slots that were set after number `sent`, in order, and the last number.
     fn since(&self, sent: u64) -> (VecDeque<Slot>, u64) {
         (self.slots.range(sent + 1..).map(|(_, slot)| slot.clone()).collect(), self.last)
     }
@@ -110,15 +110,15 @@ struct Page {
 struct Shared {
     pages: Mutex<HashMap<String, Page>>,
     state: Mutex<Slots>,
-    changed: watch::Sender<u64>,       // the last number
-    requests: Mutex<Option<Requests>>, // None: nobody takes them
+    changed: watch::Sender<u64>,       // the last number of a setting
+    requests: Mutex<Option<Requests>>, // None: the caller takes no requests
     places: Arc<Places>,
-    loopback: bool, // reached from this machine only
+    loopback: bool, // reachable from this machine only
 }
 
 pub struct Web {
     shared: Arc<Shared>,
-    taken: Option<Asked>, // the last
+    taken: Option<Asked>, // the last request from next()
     door: Door,
 }
 
@@ -177,7 +177,7 @@ impl Web {
         self.taken.as_ref()
     }
 
-    /// Whoever is gone needs no answer.
+    /// Does nothing if the browser is gone.
     pub fn answer(&self, ticket: u64, status: u16, media_type: &str, data: &[u8]) -> Result<(), Fail> {
         let status = StatusCode::from_u16(status).map_err(|e| Fail::new(BAD_ARGUMENT, format!("status {status}: {e}")))?;
         let head = [(header::CONTENT_TYPE, media_type.to_string())];
@@ -196,7 +196,7 @@ impl Web {
     }
 }
 
-/// A page of another site may be in the same browser, and its name may lead here: neither is answered.
+/// Refuses pages of other sites in the same browser, and foreign host names that lead here.
 async fn same_site(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
     if is_same_site(request.headers(), shared.loopback, request.method() == Method::POST) {
         return next.run(request).await;
@@ -204,7 +204,7 @@ async fn same_site(State(shared): State<Arc<Shared>>, request: Request, next: Ne
     (StatusCode::FORBIDDEN, "only the page that is served here may ask here\n").into_response()
 }
 
-/// A name of the public network could be led here by whoever owns it: it may see what is public anyway, and command nothing.
+/// The owner of a public host name could let it lead here. Such a page may see what is public anyway, but may command nothing.
 fn is_same_site(headers: &HeaderMap, loopback: bool, commands: bool) -> bool {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
     let host = text(header::HOST).unwrap_or_default();
@@ -274,10 +274,10 @@ async fn upgrade(
     })
 }
 
-/// Until the browser goes, or has answered nothing for too long; its page comes back by itself when it can.
+/// Runs until the browser disconnects or has answered nothing for too long. Its page reconnects by itself when it can.
 async fn live(mut socket: WebSocket, shared: &Shared) {
     let mut changed = shared.changed.subscribe();
-    changed.mark_changed(); // all there is, at once
+    changed.mark_changed(); // send the whole state at once
     let (mut round, mut sent) = (VecDeque::new(), 0);
     let (mut unanswered, mut heard) = (0, Instant::now());
     loop {
@@ -294,7 +294,7 @@ async fn live(mut socket: WebSocket, shared: &Shared) {
                 }
                 let batch = batch(&mut round);
                 if goes_on || !round.is_empty() {
-                    changed.mark_changed(); // the rest, and what was set meanwhile
+                    changed.mark_changed(); // for the rest, and for what was set meanwhile
                 }
                 if batch.is_empty() {
                     continue;
@@ -312,7 +312,7 @@ async fn live(mut socket: WebSocket, shared: &Shared) {
                     unanswered = unanswered.saturating_sub(1);
                     heard = Instant::now();
                 }
-                // Its pong must go before another one is made.
+                // Send its pong before another one is queued.
                 Some(Ok(Message::Ping(_))) => if !matches!(timeout(PATIENCE, socket.flush()).await, Ok(Ok(()))) {
                     return;
                 },
@@ -324,7 +324,7 @@ async fn live(mut socket: WebSocket, shared: &Shared) {
     }
 }
 
-/// The first of these; web.h says how it is laid out.
+/// Encodes the first of these slots; web.h describes the format.
 fn batch(round: &mut VecDeque<Slot>) -> Vec<u8> {
     let mut bytes = Vec::new();
     while let Some(slot) = round.front().filter(|slot| bytes.is_empty() || bytes.len() + slot.data.len() <= MAX_BATCH) {

@@ -6,8 +6,8 @@ use crate::net::Net;
 use std::ptr;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// What the work starts inherits that SIGPIPE is blocked: a peer that hangs up while it is written to ends nobody's program. (TLS
-/// writes by writev, which raises it.)
+/// Runs the work with SIGPIPE blocked; threads that it starts inherit that. So a peer that hangs up during a write does not end
+/// the program. (TLS writes with writev, which raises the signal.)
 #[cfg(target_os = "linux")]
 fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
     // SAFETY: all sets are written before they are read, and only this thread's mask changes.
@@ -19,7 +19,7 @@ fn with_sigpipe_blocked<T>(work: impl FnOnce() -> T) -> T {
         libc::sigaddset(&mut pipe, libc::SIGPIPE);
         libc::pthread_sigmask(libc::SIG_BLOCK, &pipe, &mut before);
         let result = work();
-        // one that this thread itself raised meanwhile; one that was pending before is not ours
+        // removes a SIGPIPE that this thread raised meanwhile; one that was pending before is not ours
         let at_once = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         if !was_pending {
             libc::sigtimedwait(&pipe, ptr::null_mut(), &at_once);

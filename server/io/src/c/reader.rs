@@ -4,7 +4,7 @@ use super::*;
 use crate::reader::Reader;
 use std::ptr;
 
-/// The reader and the arrays of pointers that its metadata is handed out by.
+/// The reader, and the pointer arrays through which it returns its metadata.
 pub struct ReaderHandle {
     reader: Reader,
     pairs: Vec<Vec<*const c_char>>,
