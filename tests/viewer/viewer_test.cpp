@@ -149,7 +149,7 @@ TEST(Viewer, AsksLessAndLessOftenForAKeyframeThatDoesNotCome) {
   EXPECT_EQ(one.questions.size(), before + 1) << "the next car of this id is asked for at once";
 }
 
-// Whoever may publish may say that cars are there. Without the limit each viewer asked for all of them twice a second.
+// Anyone who may publish can claim that cars exist. Without the limit each viewer asked for all of them twice a second.
 TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndARealOneComesFirst) {
   Follower one;
   constexpr size_t invented = 1000;
