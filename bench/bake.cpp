@@ -1,5 +1,6 @@
-// The thesis's initialization (6.3.2), in its parts: the files read, the constraints generated, the surface mapped onto the
-// tets, and all of it replaced by loading a baked file. Serial and parallel are the same functions in arenas of other sizes.
+// Measures the parts of the thesis's initialization (6.3.2): reading the files, generating the constraints, and mapping the
+// surface onto the tets. It also measures loading a baked file, which replaces all of these. The serial and the parallel runs
+// call the same functions in arenas of different sizes.
 #include "bake/bake.h"
 
 #include <fstream>
@@ -35,7 +36,7 @@ void write_obj(const Surface& surface, const std::filesystem::path& file) {
   for (const Triangle& t : surface.triangle) out << "f " << t[0] + 1 << ' ' << t[1] + 1 << ' ' << t[2] + 1 << '\n';
 }
 
-// Medit, as TetWild writes it beside Gmsh's format.
+// Writes the Medit format, which TetWild also writes.
 void write_medit(const TetMesh& mesh, const std::filesystem::path& file) {
   std::ofstream out(file);
   out.precision(9);
@@ -70,7 +71,7 @@ void register_reading(const std::shared_ptr<const Bench>& bench) {
 
 void register_mapping(const std::shared_ptr<const Bench>& bench, int threads) {
   const std::string suffix = "/" + bench->name + "/" + std::to_string(threads);
-  // Single runs, memory as it comes: nobody bakes the same car twice in a row.
+  // Measures single runs with cold memory, because nobody bakes the same car twice in a row.
   register_room("constraints" + suffix, [bench, threads](benchmark::State& state) {
     const Meshes meshes = meshes_of(bench->car->model);
     tbb::task_arena arena(threads);

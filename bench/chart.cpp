@@ -1,16 +1,18 @@
-// What every method costs and how far it is from its own converged answer, measured in one run:
+// Measures the time of every method, and its distance from its own converged result, in one run:
 //   crumple_chart CAR... [--quick] [--commit NAME] -o CSV
-// in: baked cars; on the first all methods are measured, on the others `nodal` alone. out: one row a method, number of
-// iterations, car and scene, in the order in which they were measured.
-// Scenes: "wall" and "pole" (0.15 m radius), hit at 50 km/h, twelve ticks of 1/60 s. Error: distance of the surface's vertices
-// at the end from those of the same method with many iterations, in % of the largest displacement there; rms and largest. Time:
-// a tick, mean over those in which the obstacle touches the car; best and median of several plays, each of which must end with
-// the same bits. `nodal` slows the car down as in any crash. The others have no reaction: the converged `nodal` car's poses at
-// the ticks are their path, and for comparison with them `nodal` is also measured on that path, and in the wall on more
-// threads. "elastic push": a wall moves 0.20 m into the nose in twelve ticks and nothing flows, as in the scene of bench/peers.
-// Further scenes: "side by side" (two cars on two threads against one); "untouched" (a car at rest, nothing near); "push in N
-// ticks" (0.40 m of wall in N ticks and back, error against 40 ticks); "kernel ..." (method: instruction set; the time of one
-// pass over all tets). Nothing here is random: the seed is 0.
+// in: baked cars. All methods run on the first car, and only `nodal` runs on the others. out: one row for each method, number
+// of iterations, car and scene, in the order of measurement.
+// Scenes: "wall" and "pole" (0.15 m radius), hit at 50 km/h, for twelve ticks of 1/60 s.
+// Error: the distance of the surface's vertices at the end from the result of the same method with many iterations, in % of the
+// largest displacement in that result; rms and largest.
+// Time: the mean of the ticks in which the obstacle touches the car; best and median of several plays. All plays must end with
+// the same bits.
+// Path: `nodal` slows the car down as in any crash. The other methods have no reaction, so they follow the poses that the
+// converged `nodal` car has at the ticks. For comparison `nodal` also runs on this path, and at the wall on more threads.
+// Further scenes: "elastic push" (a wall moves 0.20 m into the nose in twelve ticks and nothing flows, as in bench/peers);
+// "side by side" (two cars on two threads, compared with one car); "untouched" (a car at rest with nothing near); "push in N
+// ticks" (a wall moves in by 0.40 m in N ticks and back; the error is against 40 ticks); "kernel ..." (the method is the
+// instruction set; the time of one pass over all tets). Nothing here is random: the seed is 0.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -37,26 +39,26 @@ using namespace crumple;
 
 constexpr double tick_seconds = 1.0 / 60, speed = 50 / 3.6, gap = 0.02;  // s, m/s, m
 constexpr int ticks = 12, push_ticks = 40;
-constexpr int by_default = 0;  // iterations: as many as the default's tolerance takes
+constexpr int by_default = 0;  // iterations: until the default tolerance is reached
 const int default_substeps = Parameters().substeps;
 constexpr double push_depth = 0.40, elastic_depth = 0.20;  // m
 constexpr char elastic_push[] = "elastic push";
-constexpr size_t small_car = 12'000;  // nodes: of larger ones only the figures that matter there, in --quick without errors
-constexpr double patience = 4;        // s: a play is repeated for no longer
+constexpr size_t small_car = 12'000;  // nodes: larger cars get only some measurements, with --quick without errors
+constexpr double patience = 4;        // s: plays are repeated for at most this long
 const double nan_value = std::numeric_limits<double>::quiet_NaN();
 
 struct Method {
   std::string name;
-  std::optional<Baseline> baseline;  // nothing: deform()
+  std::optional<Baseline> baseline;  // empty: deform()
   Solver solver = Solver::nodal;
   bool on_path = false;
   std::vector<int> iterations;
-  int converged = 0;                // iterations of its own answer
+  int converged = 0;                // iterations of the converged result
   int substeps = default_substeps;  // a tick
-  int threads = 1;                  // 1: processor time; more: by the wall
+  int threads = 1;                  // 1: times are processor time; more: wall time
 };
 
-// Where the frame stood at the start of each tick and at the end, and in which ticks the obstacle touched the car.
+// The pose of the frame at the start of each tick and at the end, and whether the obstacle touched the car in each tick.
 struct Path {
   std::vector<Pose> pose;
   std::vector<char> touched;
@@ -65,9 +67,9 @@ struct Path {
 struct Play {
   std::vector<Vec3> vertex;
   Path path;
-  double seconds = 0;  // of all ticks that count, and how many those are
+  double seconds = 0;  // of the counted ticks, and their number
   int counted = 0;
-  double energy = nan_value, crush = nan_value;  // found over brought; residual, m
+  double energy = nan_value, crush = nan_value;  // energy: at the end over at the start; crush: residual, m
   uint64_t bits = 0;
   double milliseconds() const { return 1e3 * seconds / std::max(1, counted); }
 };
@@ -88,7 +90,7 @@ float nose_of(const Model& model) {
   return nose;
 }
 
-// Of the nodes that were foremost, mean.
+// The mean over the nodes that were foremost.
 double crush_of(const Model& model, const DeformableState& body) {
   const float nose = nose_of(model);
   double sum = 0;
@@ -120,7 +122,7 @@ std::vector<Vec3> surface_of(const Model& model, const DeformableState& body) {
   return out;
 }
 
-// The steady motion that leads from one pose to the other within a tick.
+// The steady motion from one pose to the other within a tick.
 Motion between(const Pose& from, const Pose& to, const Mass& mass) {
   const Eigen::AngleAxisd turn(to.orientation * from.orientation.conjugate());
   const Eigen::Vector3d way = to.position + to.orientation * mass.center - from.position - from.orientation * mass.center;
@@ -131,7 +133,7 @@ struct Crash {
   std::shared_ptr<const Car> car;
   std::string scene;
   Structure structure;
-  Path path;  // of the converged `nodal`
+  Path path;  // the path of the converged `nodal` car
 };
 
 Play play(const Crash& crash, const Method& method, int iterations) {
@@ -209,7 +211,7 @@ struct Row {
   uint64_t bits = 0;
 };
 
-// The table that is being written; a value that was not measured is an empty field.
+// The table being written. A value that was not measured is an empty field.
 class Table {
  public:
   explicit Table(const Options& options) : file_(std::fopen(options.csv.c_str(), "w"), std::fclose) {
@@ -270,8 +272,8 @@ void measure_method(const std::string& name, const Crash& crash, const Method& m
   }
 }
 
-// All methods that the chart compares in a scene; `nodal` first: the others go its way. What never comes within 1 % in the wall
-// is not measured elsewhere, but for `xpbd` in the push, since other engines are there what it is.
+// All methods that the chart compares in a scene. `nodal` is first, because the others follow its path. Methods that never come
+// within 1 % at the wall run in no other scene, except `xpbd` in the push, because other engines there use XPBD too.
 std::vector<Method> methods(const std::string& scene, bool quick) {
   const std::vector<int> sweeps = {by_default, 1, 2, 4, 6, 8, 10, 12, 16, 24, 48};
   const std::vector<int> further = quick ? std::vector{1, 5, 20, 100} : std::vector{1, 2, 5, 10, 20, 50, 100, 200};
@@ -291,7 +293,7 @@ std::vector<Method> methods(const std::string& scene, bool quick) {
   return out;
 }
 
-// Error of the time steps beside that of the solver: against twice as many sub-steps as the largest count here.
+// Measures the error of the time steps in addition to the solver's error, against twice the largest number of sub-steps here.
 void measure_substeps(const std::string& name, const Crash& crash, const Options& options, Table& table) {
   const auto method = [](int substeps) {
     return Method{
@@ -308,7 +310,8 @@ void measure_threads(const std::string& name, const Crash& crash, const Options&
   }
 }
 
-// What two threads are worth here at best: as many cars on a thread each, that share nothing, against one; ms a car and crash.
+// Measures the best gain that two threads can have on this machine: two cars on a thread each, which share nothing, against one
+// car; ms for each car and crash.
 void measure_side_by_side(const std::string& name, const Crash& crash, Table& table) {
   const Method method{"nodal", {}, Solver::nodal, false, {by_default}, 0, default_substeps};
   std::vector<double> milliseconds[2];
@@ -396,7 +399,7 @@ void measure_push(const std::string& name, const Model& model, Table& table) {
   }
 }
 
-// One pass of each kernel over a car that has been driven into the wall for two ticks.
+// Measures one pass of each kernel over a car that has been driven into the wall for two ticks.
 void measure_kernels(const std::string& name, const Model& model, Table& table) {
   DeformableState body = make_body(model);
   Motion motion;
@@ -411,7 +414,7 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
   const auto positions = s.node;
   const auto tets = s.tets;
   const auto flowing = s.flowing;
-  // All of the car takes part, and has no one left to wake.
+  // The whole car is awake, so no block is left to wake.
   std::fill(s.awake.begin(), s.awake.end(), uint8_t(2));
   std::fill(s.stirred.begin(), s.stirred.end(), uint8_t(1));
   const auto nobody = [](void*, uint32_t, const float*, const float*) {};

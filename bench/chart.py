@@ -1,10 +1,10 @@
-"""The page of bench/run: error against time, the bars of the default solver, the thesis's tables, the stability matrix.
+"""Writes the page of bench/run: error against time, the goals of the default solver, the thesis's tables, the stability matrix.
 
     chart.py FOLDER [--quick]
 
-in: chart.csv (crumple_chart) in FOLDER, and what else of bench/run is there: peers.csv and peers_convergence.csv (bench/peers),
-scene.csv (crumple_scene), stability.csv, outside.csv (crumple_outside), the reports of crumple_bench in cars/*.json, tables.md. out: page.md and its PNGs in FOLDER. A bar whose
-measurement is missing says so.
+in: chart.csv (crumple_chart) in FOLDER, and other results of bench/run if they are there: peers.csv and peers_convergence.csv
+(bench/peers), scene.csv (crumple_scene), stability.csv, outside.csv (crumple_outside), the reports of crumple_bench in cars/*.json,
+tables.md. out: page.md and its PNGs in FOLDER. If a goal was not measured, the page says so.
 """
 
 import argparse
@@ -24,11 +24,11 @@ import stability
 from outside import Outside
 from tables import Runs, best, commit, map_and_constrain, number, table
 
-DEFAULT = 0  # iterations in chart.csv where Parameters::tolerance ends the sweeps (server/sim/material.h)
+DEFAULT = 0  # iterations in chart.csv if Parameters::tolerance ends the sweeps (server/sim/material.h)
 SUBSTEPS = 8  # Parameters::substeps
 WANTED = 1  # % of the largest displacement
 SCENES = {"wall": "wall, 50 km/h", "pole": "pole, 50 km/h", "elastic push": "elastic push of 0.20 m"}
-# Okabe and Ito's colours with marks of their own, told apart by any eye.
+# Okabe and Ito's colours with a different mark each, so that the colour-blind can tell them apart.
 METHODS = {
     "nodal": ("#000000", "o"),
     "nodal, path given": ("#0072B2", "s"),
@@ -43,7 +43,7 @@ PEERS = {"crumple": ("#000000", "*"), "jolt": ("#E69F00", "P"), "pypbd": ("#009E
 
 
 def read(path):
-    """The rows of a CSV; what reads as a number is one, an empty field is nan. None at all if there is no such file."""
+    """Reads the rows of a CSV. Numbers become floats, empty fields nan. Returns no rows if the file does not exist."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
@@ -64,7 +64,7 @@ def pick(rows, **wanted):
 
 
 def front(points):
-    """Those (ms, error) that no other beats in both, by ms."""
+    """Returns the points (ms, error) that no other point beats in both, sorted by ms."""
     out = []
     for ms, error in sorted(points):
         if not out or error < out[-1][1]:
@@ -73,7 +73,7 @@ def front(points):
 
 
 def within(rows, ms="ms_best", error="error_percent", count="iterations"):
-    """Of one method: the cheapest row from which on every count is within what is wanted; none: it never gets there."""
+    """Returns the fastest row of a method from which on all larger counts have at most the wanted error; None if there is none."""
     counted = sorted((row for row in rows if row[count] != DEFAULT), key=lambda row: row[count])
     good = [row for row in rows if row[count] == DEFAULT and row[error] <= WANTED]
     good += [row for k, row in enumerate(counted) if all(later[error] <= WANTED for later in counted[k:])]
@@ -81,7 +81,7 @@ def within(rows, ms="ms_best", error="error_percent", count="iterations"):
 
 
 def peer_rows(folder):
-    """What peers measured against their own answers, but the answers themselves."""
+    """Returns the rows of peers against their own converged results, without the rows of these results."""
     rows = [row for row in read(folder / "peers_convergence.csv") if not str(row["note"]).startswith("error")]
     return [row for row in rows if row["iterations_per_step"] != row["reference"]]
 
@@ -100,7 +100,7 @@ def save(figure, path):
 
 
 def counted(rows):
-    """Those with a fixed number of iterations."""
+    """Returns the rows with a fixed number of iterations."""
     return [row for row in rows if row["iterations"] != DEFAULT]
 
 
@@ -134,7 +134,7 @@ def draw_peers(axes, peers):
 
 
 def peers_within(peers, **wanted):
-    """(model, its cheapest row within 1 % or none) of each model of a peer."""
+    """Returns (model, its fastest row within 1 % or None) for each model of a peer."""
     chosen = pick(peers, **wanted)
     return [(model, within(pick(chosen, model=model), "best_ms", "rms_error_percent", "iterations_per_step"))
             for model in dict.fromkeys(row["model"] for row in chosen)]
@@ -145,7 +145,7 @@ def quickest(peers, **wanted):
 
 
 def peers_car(rows, peers, car):
-    """Whose elastic push stands beside the peers': the car that they ran on, if it was charted."""
+    """Returns the car whose elastic push is shown beside the peers': the car that they ran on, if it was measured."""
     return peers[0]["mesh"] if peers and pick(rows, scene="elastic push", car=peers[0]["mesh"]) else car
 
 
@@ -164,7 +164,7 @@ def draw_frontier(rows, peers, car, path):
             axes.set_title(axes.get_title() + f"\ndashed: the elastic push of bench/peers (it moves front nodes)\n"
                            f"on {beside[0]['mesh']}, {beside[0]['nodes']:,.0f} nodes", fontsize=8)
         axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
-        axes.set_ylim(1e-3, 120)  # below it is rounding
+        axes.set_ylim(1e-3, 120)  # smaller errors are rounding
     all_axes[0][0].set_ylabel("error, rms, % of the largest displacement,\nagainst the method's own converged answer")
     save(figure, path)
 
@@ -188,7 +188,7 @@ def draw_iterations(rows, path):
 
 
 def slope(line):
-    """Of the straight line through (log x, log y), least squares; nothing for fewer than two."""
+    """Fits a straight line through (log x, log y) by least squares; None for fewer than two points."""
     xs, ys = zip(*((math.log(x), math.log(y)) for x, y in line))
     x, y = sum(xs) / len(xs), sum(ys) / len(ys)
     squares = sum((a - x) ** 2 for a in xs)
@@ -214,7 +214,7 @@ def draw_nodes(rows, path):
 
 
 def draw_threads(rows, path):
-    """ms against threads, of what was measured on more than one; says whether there is any."""
+    """Draws ms against threads. Returns whether anything was measured on more than one thread."""
     lines = collections.defaultdict(list)
     for row in pick(rows, method="nodal", iterations=DEFAULT, scene="wall"):
         lines[f"{row['car']}, {row['nodes']:,.0f} nodes"].append((row["threads"], row["ms_best"]))
@@ -235,7 +235,7 @@ def draw_threads(rows, path):
 
 
 def times_to_one_percent(rows, car):
-    """Markdown: ms to come within 1 %, by method; and ours over each."""
+    """Returns Markdown: ms to come within 1 % by method, and the ratio to ours."""
     out = []
     for method in METHODS:
         line = [method]
@@ -283,7 +283,7 @@ def kernels(rows):
 
 
 def accuracy(rows):
-    """Of nodal at its default, by car and scene; and of the time steps."""
+    """Returns the tables of nodal at its default by car and scene, and of the time steps."""
     out = []
     for row in pick(rows, iterations=DEFAULT):
         if row["scene"] in ("wall", "pole") and row["method"].startswith("nodal") and "path" not in row["method"]:
@@ -296,7 +296,7 @@ def accuracy(rows):
 
 
 class Bars:
-    """The table of what the default solver must reach, as far as it was measured."""
+    """Returns the table of the goals of the default solver, as far as they were measured."""
 
     def __init__(self, rows, folder, car):
         self.all, self.rows = rows, pick(rows, threads=1)
@@ -324,7 +324,7 @@ class Bars:
             self.gain(f"time to 1 % against {method}, wall, {self.car}", ours, within(chosen), chosen, "ms_best")
 
     def gain(self, what, ours, theirs, all_theirs, ms):
-        """One that never comes within 1 % has spent at least what its longest setting took."""
+        """A method that never comes within 1 % needs at least the time of its longest setting."""
         longest = max((row[ms] for row in all_theirs), default=None)
         if not ours or not longest:
             return self.add(what, "≥ 20 x less", None)
@@ -354,7 +354,7 @@ class Bars:
                  "; ".join(said), ours <= 1.4 and theirs >= 6 * ours if said else None)
 
     def sweep(self, threads):
-        """ms of one sweep as ticks have it (10 and 24 sweeps a sub-step compared), and tets; of the largest car."""
+        """Returns the ms of one sweep within a tick (from 10 and 24 sweeps in a sub-step), and the tets, of the largest car."""
         rows = pick(self.all, car=self.large["car"], scene="wall", method="nodal", threads=threads)
         at = {row["iterations"]: row for row in rows}
         if self.large["nodes"] < 40000 or not {10, 24} <= at.keys():
@@ -467,7 +467,7 @@ def page(all_rows, folder, quick):
            "where nothing else is said. Error: rms distance of the surface's vertices from where the same method puts them "
            "when it is converged, in % of the largest displacement. `crumple_chart` says how (bench/chart.cpp).")
     load = max((context["load_avg"][0] for context in Runs(sorted((folder / "cars").glob("*.json"))).contexts), default=0)
-    if load > 1.5:  # the benchmark's own thread is one
+    if load > 1.5:  # the benchmark's own thread counts as 1
         yield (f"**The machine was busy with other work (load {load:.1f}): what is measured by the wall, on more than one "
                "thread, is too high, and caches were shared.**")
     if quick:
@@ -528,7 +528,7 @@ def page(all_rows, folder, quick):
 
 
 def read_codecs(path):
-    """The rows of codec.py at half a millimetre, and of surface level 1."""
+    """Returns the rows of codec.py at half a millimetre, and of surface level 1."""
     if not path.exists():
         return ""
     with open(path) as file:

@@ -1,10 +1,11 @@
-// What the surface of a crashing car takes on the wire, and how far off it is, for our codec and as frames for the others:
+// Measures the bytes and the error of a crashing car's surface with our codec, and writes frames for other codecs:
 //   crumple_codec CAR... -o FOLDER
-// in: baked cars. Each hits a wall and a pole at 50 km/h; frames are the ticks in which it touches them, against a keyframe of
-// the undamaged car. out: FOLDER/codec_ours.csv, and for bench/codec.py FOLDER/NAME-SCENE.frames: vertices and nodes of every
-// frame. Codecs: `nodes` is what the server sends; `vertices` packs the surface itself the same way. Bytes: of whole messages.
-// Times: the best of several, per 20,000 vertices; decode is the client library's, its hash included; skin: weights times
-// nodes.
+// in: baked cars. Each car hits a wall and a pole at 50 km/h. The frames are the ticks in which it touches them, each against a
+// keyframe of the undamaged car. out: FOLDER/codec_ours.csv; for bench/codec.py also FOLDER/NAME-SCENE.frames with the vertices
+// and nodes of every frame.
+// Codecs: `nodes` is the server's; `vertices` packs the vertices of the surface in the same way. Bytes count whole messages.
+// Times are the best of several, per 20,000 vertices. Decoding is the client library's, including the hash. skin: the time to
+// compute the vertices from the nodes.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -27,7 +28,7 @@ using namespace crumple;
 
 constexpr int repetitions = 30;
 constexpr double speed = 50 / 3.6;          // m/s
-constexpr float default_quantum = 0.5e-3f;  // m; the last one below is what those far away are told in
+constexpr float default_quantum = 0.5e-3f;  // m; the last quantum below is that of the far surface level
 
 struct Frame {
   std::vector<Vec3> node, vertex;  // displacements, m
@@ -64,7 +65,7 @@ std::vector<Frame> crash(const Car& car, const std::string& scene) {
   return frames;
 }
 
-// Of the vertices, m, as the client library makes it from quanta of the nodes.
+// The displacement of the vertices, m, as the client library computes it from the quanta of the nodes.
 std::vector<Vec3> skinned(const Car& car, const std::vector<int16_t>& quanta, float quantum) {
   static std::vector<uint32_t> number;
   number.assign(car.model.node.size(), 0);

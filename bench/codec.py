@@ -1,18 +1,18 @@
-"""Ways to send the surface of a crashing car, against each other: bits per vertex and frame, error, time.
+"""Compares codecs for the surface of a crashing car: bits per vertex and frame, error, time.
 
     codec.py FOLDER [-o PICTURE.png]
 
-FOLDER holds what crumple_codec wrote; codec.csv beside it gets all rows, and the picture is drawn of them. The vertices (or the
-nodes of the skin) are quantised and sent as differences from the undamaged car, which is both the rest and the last keyframe of a
-car in its first crash; differences from the frame before would be shorter, and one lost message would spoil all that follow.
+FOLDER has the files of crumple_codec. The program writes all rows to codec.csv in this folder and draws the picture. It quantises
+the vertices (or the nodes of the skin) and encodes their differences from the undamaged car, which is the last keyframe of a car in
+its first crash. Differences from the previous frame would be shorter, but one lost message would spoil all later ones.
   raw          int16
   planes+zstd  all low bytes, then all high bytes, zigzag, zstd at level 3
-  steps+planes+zstd  the same of the differences from the point before
-  meshopt      meshoptimizer's vertex codec v1, 8 bytes a vertex; with zstd behind it
+  steps+planes+zstd  the same, applied to the differences from the previous point
+  meshopt      meshoptimizer's vertex codec v1, 8 bytes per vertex; followed by zstd
   packed       ours: schema/message.fbs, whole messages, timed in C++ by crumple_codec
-Surface level 1, for who is far, is `nodes, packed` at 4 mm, sent every sixth tick: a sixth of these bits per vertex and tick.
-Sizes of the others are of the numbers alone, without any message around them. Times: the best of several calls of the library,
-on arrays that are ready for it.
+Surface level 1, for far viewers, is `nodes, packed` at 4 mm in every sixth tick, so it takes a sixth of these bits per vertex and
+tick. The sizes of the other codecs count only the numbers, without a message around them. Times are the best of several calls of
+the library, on arrays that are ready for it.
 """
 
 import argparse
@@ -28,9 +28,9 @@ import zstandard
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 
-QUANTA = (0.25, 0.5, 1.0, 4.0)  # mm; 4: of surface level 1, for who is far, which is told every sixth tick only
+QUANTA = (0.25, 0.5, 1.0, 4.0)  # mm; 4: surface level 1, for far viewers, which is sent only every sixth tick
 REPETITIONS = 20
-SHOWN = 0.5  # mm: drawn large
+SHOWN = 0.5  # mm: drawn with large marks
 COLOURS = {"raw": "#999999", "planes+zstd": "#E69F00", "steps+planes+zstd": "#009E73", "meshopt": "#56B4E9", "meshopt+zstd": "#0072B2", "packed": "#D55E00"}
 
 compressor, decompressor = zstandard.ZstdCompressor(level=3), zstandard.ZstdDecompressor()
@@ -53,7 +53,7 @@ def padded(quanta):
     return np.hstack([quanta, np.zeros((len(quanta), 1), np.int16)])
 
 
-# name: (array that is ready, encode, decode)
+# name: (prepared array, encode, decode)
 CODECS = {
     "raw": (lambda q: q.tobytes(), lambda a: a, lambda a, b: b),
     "planes+zstd": (planes, compressor.compress, lambda a, b: decompressor.decompress(b)),
@@ -77,7 +77,7 @@ def best(work):
 
 
 def read(path):
-    """Frames of (vertices, nodes), displacements in m."""
+    """Reads frames of (vertices, nodes), as displacements in m."""
     data = path.read_bytes()
     frames, vertices, nodes = np.frombuffer(data, "<u4", 3)
     numbers = np.frombuffer(data, "<f4", offset=12).reshape(frames, vertices + nodes, 3)

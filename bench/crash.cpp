@@ -1,7 +1,7 @@
-// The figures of a baked car in a crash, through the simulation alone (no network, no clock in the outcome):
+// Measures a baked car in crashes with the simulation alone (no network; no clock affects the result):
 //   crumple_crash CAR [--long]
-// in: a baked car; out: tables in Markdown. Walls at four speeds, hosts at four rates, a slow push of 0.40 m at several sweep
-// counts (with --long up to 200), and the five hits of the 1986 Taurus series (NHTSA tests 1201-1205).
+// in: a baked car; out: tables in Markdown: walls at four speeds, four tick rates, a slow push of 0.40 m with several numbers
+// of sweeps (with --long up to 200), and the five hits of the 1986 Taurus series (NHTSA tests 1201-1205).
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -47,7 +47,7 @@ struct Run {
     dynamic = std::max(dynamic, front_crush());
     peak = std::max(peak, result.impulse.norm() / mass.mass * rate / 9.81);
   }
-  // Mean over the nodes of the front face at rest.
+  // The mean over the nodes that form the front face at rest.
   double front_crush() const {
     double sum = 0;
     int count = 0;
@@ -58,7 +58,7 @@ struct Run {
     }
     return sum / count;
   }
-  // The car, as damaged as it is, drives into the wall; then it is put back.
+  // The car drives into the wall with its present damage, from its initial pose.
   void hit(double speed, double rate = 60) {
     place_wall(0.02);
     motion = Motion{};
@@ -120,8 +120,8 @@ void push_once(const Car& car, float friction, int sweeps) {
               1e3 * bulge, inverted);
 }
 
-// A wall that holds the front by friction turns it about its lower edge and so presses the sides out more than one it slides
-// on.
+// If the wall holds the front by friction, the front turns about its lower edge and presses the sides out farther than if it
+// slides.
 void pushes(const Car& car, bool all) {
   std::printf(
       "\n| 0.40 m push in 40 ticks: wall's friction | sweeps | residual, mm | rear moved, mm | side bulge, mm | inverted tets "

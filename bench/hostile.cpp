@@ -14,8 +14,8 @@ constexpr double pi = 3.14159265358979323846;
 Parameters elastic_car() {
   Parameters parameters;
   for (Material& material : parameters.region) {
-    material.yield_strain = 1;   // ten times the length is beyond even that,
-    material.plastic_limit = 0;  // so there is no plastic strain at all
+    material.yield_strain = 1;   // the strain of ten times the length is larger still,
+    material.plastic_limit = 0;  // so no plastic strain is allowed
     material.plasticity = 1;
   }
   return parameters;
@@ -78,7 +78,7 @@ void displaced_starts(std::vector<Scene>& out) {
   }
 }
 
-// The same car with some of its baked arrays changed in place, read back as any car is.
+// Changes some baked arrays of the car in place and reads the result as any baked car.
 template <class Change>
 std::shared_ptr<const Car> changed_car(const Car& car, const Change& change) {
   std::vector<std::byte> bytes(car.bytes.begin(), car.bytes.end());
@@ -97,7 +97,7 @@ std::shared_ptr<const Car> changed_car(const Car& car, const Change& change) {
   return read_car(bytes, car.name);
 }
 
-// Of a regular tet 1, of a flat one 0: volume against the cube of the rms edge length.
+// The quality of a tet: its volume relative to the cube of its rms edge length; 1 for a regular tet, 0 for a flat one.
 double quality(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3& d) {
   double squares = 0;
   for (const Vec3& edge : {Vec3(b - a), Vec3(c - a), Vec3(d - a), Vec3(c - b), Vec3(d - b), Vec3(d - c)}) {
@@ -111,8 +111,8 @@ double quality(const TetMesh& mesh, uint32_t tet) {
   return quality(mesh.node[n[0]], mesh.node[n[1]], mesh.node[n[2]], mesh.node[n[3]]);
 }
 
-// Flattens tets to `worst` where their neighbours stay better than that, until one in fifty is a sliver: one corner goes
-// towards the middle of the face opposite. Each node is moved, and each tet changed, once at most.
+// Flattens tets to the quality `worst` if their neighbours keep a better one, until one in fifty is a sliver. It moves one
+// corner of a tet towards the middle of the opposite face. It moves each node and changes each tet at most once.
 std::shared_ptr<const Car> sliver_car(const Car& car, double worst) {
   const Model& model = car.model;
   TetMesh mesh{{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}};
@@ -128,7 +128,7 @@ std::shared_ptr<const Car> sliver_car(const Car& car, double worst) {
       const Vec3 rest = mesh.node[node];
       Vec3 face = Vec3::Zero();
       for (uint32_t other : mesh.tet[tet].node) face += other == node ? Vec3(Vec3::Zero()) : Vec3(mesh.node[other] / 3);
-      double low = 0, high = 1;  // share of the height that is left
+      double low = 0, high = 1;  // share of the height that remains
       for (int pass = 0; pass < 40; ++pass) {
         const double middle = 0.5 * (low + high);
         mesh.node[node] = face + float(middle) * (rest - face);
@@ -157,7 +157,7 @@ std::shared_ptr<const Car> sliver_car(const Car& car, double worst) {
   });
 }
 
-// Node masses from 1 to 10^6, with the same sum.
+// Gives nodes masses from 1 to 10^6, with the same sum as before.
 std::shared_ptr<const Car> unequal_car(const Car& car, uint64_t seed) {
   return changed_car(car, [&](const auto& writable) {
     Random random{std::mt19937_64(seed)};
@@ -169,7 +169,7 @@ std::shared_ptr<const Car> unequal_car(const Car& car, uint64_t seed) {
   });
 }
 
-// Every other tet of region 1, so that two materials alternate through the body.
+// Puts every other tet into region 1, so that two materials alternate through the body.
 std::shared_ptr<const Car> mixed_car(const Car& car) {
   return changed_car(car, [&](const auto& writable) {
     const auto region = writable(car.model.tet_region);
@@ -226,7 +226,7 @@ void time_steps(std::vector<Scene>& out) {
                {"ticks of 1e-2 s", 1e-2, 180},  {"ticks of 0.1 s", 0.1, 180},    {"ticks of 1 s", 1, 180}};
   for (const auto& step : steps) {
     out.push_back({std::string(step.name) + ", elastic", elastic_car(),
-                   [step](Run& run) {  // half as long again, let go
+                   [step](Run& run) {  // stretches the car by half its length and lets go
                      const Vec3 middle = run.box.center();
                      run.displace([&](const Vec3& p) -> Vec3 { return middle + Vec3(1.5f, 1, 1).cwiseProduct(p - middle); });
                      run.release(step.ticks, step.seconds);
@@ -235,7 +235,7 @@ void time_steps(std::vector<Scene>& out) {
   }
 }
 
-// Whether a free node in the plate's reach lies beyond the face that should push it.
+// Whether a free node lies beyond the face of the plate that should have pushed it.
 bool behind(const Run& run, double face) {
   for (size_t i = 0; i < run.body.node.size(); ++i) {
     if (!run.model.node_anchored[i] && run.body.node[i].x() > face + 0.01) return true;
@@ -244,7 +244,7 @@ bool behind(const Run& run, double face) {
 }
 
 void hostile_obstacles(std::vector<Scene>& out) {
-  // limit: m, how far from rest it may bring a car that stays dented.
+  // limit: the largest distance from rest, m, that is accepted of a car that stays dented.
   const auto both = [&](const std::string& name, double limit, const std::function<void(Run&)>& play) {
     out.push_back({name + ", elastic", elastic_car(), play, nullptr});
     out.push_back({name + ", plastic", Parameters(),
@@ -296,8 +296,9 @@ void hostile_obstacles(std::vector<Scene>& out) {
     }
     run.release();
   });
-  // The pole takes a corner of the nose along, as a hook would, at 230 m/s and for 0.8 m in the first pass, without friction as
-  // with it and in sub-steps an eighth as long: nothing here can tear. So the car may end far from rest, but where the pole is.
+  // The pole catches a corner of the nose like a hook at 230 m/s and drags it along for 0.8 m in the first pass, because
+  // nothing here can tear. Friction and sub-steps of an eighth of the length change nothing. So the car may end far from rest,
+  // but no farther than the pole.
   both("spinning 1,000 rpm past a pole", 2.5, [](Run& run) {
     constexpr double radius = 0.15;
     const auto from_axis = [&run](const Vec3& node) { return double((node - run.model.center_of_mass).head<2>().norm()); };
@@ -317,7 +318,7 @@ void hostile_obstacles(std::vector<Scene>& out) {
   });
   for (const int speed : {50, 100, 150, 300}) {
     both("2 cm plate at " + std::to_string(speed) + " m/s", 0.3, [speed](Run& run) {
-      constexpr double depth = 0.3, half = 0.01;  // it comes in one tick and stops in the nose
+      constexpr double depth = 0.3, half = 0.01;  // it arrives within one tick and stops in the nose
       const double from = double(run.box.high.x()) - depth + half;
       run.obstacles.emplace_back();
       make_box({float(half), 5, 5}, run.obstacles[0]);
@@ -334,13 +335,13 @@ void hostile_obstacles(std::vector<Scene>& out) {
   }
 }
 
-// A wall rubs the nose to and fro, 2 mm in it: strains of a fifth of the yield strain. Nothing may stay.
+// A wall that is 2 mm deep in the nose rubs it to and fro, with strains of a fifth of the yield strain. No dent may stay.
 Scene rubbing(int ticks, bool ours) {
   return {"rubbing below yield, 1e" + std::to_string(int(std::lround(std::log10(ticks)))) + " ticks",
           with(Parameters(), [](int, Material& m) { m.plasticity = 0.9f; }),
           [ticks](Run& run) {
             run.parameters.iterations = 5;
-            run.limit = 2e-5;  // a hundredth of what it is pushed
+            run.limit = 2e-5;  // a hundredth of the push
             Obstacle& wall = run.wall(0.002);
             wall.friction = 1;
             for (int k = 0; k < ticks; ++k) {
@@ -390,8 +391,8 @@ Obstacle random_obstacle(Random& random, const Box& box) {
   return each;
 }
 
-// Anything in range, for ten ticks; nothing travels farther than 3 m, so that whoever is 10 m from rest then has exploded. The
-// obstacles may leave the car no room at all, so that it is to be sound only after they are gone.
+// Draws everything at random within its range, for ten ticks. Nothing travels farther than 3 m, so a car that is 10 m from rest
+// has exploded. The obstacles may leave the car no room at all, so it needs to be sound only after they are gone.
 Scene random_scene(int number) {
   char name[32];
   std::snprintf(name, sizeof name, "random scene %04d", number);
@@ -427,7 +428,7 @@ Scene random_scene(int number) {
 
 std::vector<Scene> hostile_scenes(const Car& car, uint64_t seed, bool quick) {
   std::vector<Scene> scenes;
-  if (!quick) scenes.push_back(rubbing(1'000'000, true));  // first: the longest, and one thread's
+  if (!quick) scenes.push_back(rubbing(1'000'000, true));  // first, because it is the longest and runs on one thread
   scenes.push_back(rubbing(quick ? 1'000 : 10'000, false));
   displaced_starts(scenes);
   hostile_meshes_and_materials(car, seed, scenes);

@@ -1,6 +1,6 @@
-// The hostile starts of the stability matrix: one car under one method (Run), and the scenes that are played with it.
-// in: a baked car and a seed; out: what each method is put through. No scene knows the method, and the same seed plays the same
-// scene with every one.
+// The hostile starts of the stability matrix. A Run is one car with one method; a Scene is played with it.
+// in: a baked car and a seed; out: the scenes for each method. No scene knows the method, and a seed gives the same scene for
+// all methods.
 #pragma once
 
 #include <algorithm>
@@ -37,7 +37,7 @@ struct Random {
 
 struct Method {
   const char* name;
-  std::optional<Baseline> baseline;  // nothing: the server's own, through deform()
+  std::optional<Baseline> baseline;  // empty: deform(), as the server runs it
   Solver solver = Solver::nodal;
 };
 inline constexpr Method methods[] = {
@@ -66,7 +66,7 @@ inline bool finite(const DeformableState& body) {
   return std::all_of(body.node.begin(), body.node.end(), [](const Vec3& node) { return node.allFinite(); });
 }
 
-// One car under one method. The path is law unless the scene sets a mass.
+// One car with one method. The car follows its path exactly unless the scene sets a mass.
 struct Run {
   std::shared_ptr<const Car> car;
   const Model& model;
@@ -78,13 +78,13 @@ struct Run {
   DeformableState body;
   Motion motion;
   std::vector<Obstacle> obstacles;
-  std::vector<Vec3> goal;  // where nodes should end
-  double limit = 0;        // m, rms: how far from it they may be; 0: recovered_share of the diagonal
+  std::vector<Vec3> goal;  // the places where the nodes should end
+  double limit = 0;        // m, rms: largest accepted distance from the goal; 0: recovered_share of the diagonal
   bool passed = false;     // an obstacle went through the car
-  bool exploded = false;   // a node was farther from rest than anything could bring it
-  bool poisoned = false;   // it starts with a node that is not finite: ticks that deform() undoes are its cure
+  bool exploded = false;   // a node was farther from rest than the scene can explain
+  bool poisoned = false;   // a node is not finite at the start: deform() must undo ticks to recover
   int ticks = 0, undone = 0;
-  bool lost = false;  // not finite any more: further ticks are not made
+  bool lost = false;  // a node is no longer finite: no further ticks are made
   ScratchHandle scratch = make_scratch();
   const Box box;
 
@@ -118,12 +118,12 @@ struct Run {
   void run(int count, double seconds = tick_seconds) {
     for (int k = 0; k < count; ++k) tick(seconds);
   }
-  double farthest() const {  // of the nodes from rest, m
+  double farthest() const {  // largest distance of a node from rest, m
     float most = 0;
     for (size_t i = 0; i < body.node.size(); ++i) most = std::max(most, (body.node[i] - model.node[i]).norm());
     return double(most);
   }
-  // Obstacles gone: until nothing moves for three ticks.
+  // Removes the obstacles and ticks until nothing has moved for three ticks.
   void release(int most = recovery_ticks, double seconds = tick_seconds) {
     obstacles.clear();
     for (int k = 0, still = 0; k < most && still < 3; ++k) {
@@ -131,7 +131,7 @@ struct Run {
       still = body.settled ? still + 1 : 0;
     }
   }
-  // Puts every free node elsewhere; anchored nodes are the pose's.
+  // Moves every free node; anchored nodes stay on the pose.
   template <class Place>
   void displace(const Place& place) {
     for (size_t i = 0; i < body.node.size(); ++i) {
@@ -141,7 +141,7 @@ struct Run {
     body.settled = false;
     measure_reach(model, body);
   }
-  Obstacle& wall(double depth) {  // across the nose, into it by `depth`, 1 m thick
+  Obstacle& wall(double depth) {  // a wall across the nose, 1 m thick, which reaches `depth` into it
     Obstacle& added = obstacles.emplace_back();
     make_box({0.5f, 5, 5}, added);
     added.pose.position = {box.high.x() + 0.5 - depth, 0, 0};
@@ -156,7 +156,7 @@ struct Run {
     run(10);
     release();
   }
-  // Now: it is to come back to the shape that it has.
+  // Dents the car. From now on this shape is the goal.
   void dent() {
     push_in(0.15);
     goal = body.node;
@@ -167,8 +167,8 @@ struct Scene {
   std::string name;
   Parameters parameters;
   std::function<void(Run&)> play;
-  std::shared_ptr<const Car> car;  // none: the one on the command line
-  bool ours = false;               // only for what the server runs: the baselines would take an hour
+  std::shared_ptr<const Car> car;  // null: the car on the command line
+  bool ours = false;               // only for the server's solvers: the baselines would take an hour
 };
 
 // quick: 20 random scenes and 1,000 ticks of rubbing instead of 1,000 and 1,000,000 (baselines: 100 and 10,000).

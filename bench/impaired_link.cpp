@@ -28,11 +28,11 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr size_t segment = 1448;          // bytes of TCP in an Ethernet frame
-constexpr size_t longest = 65'536;        // of a datagram
+constexpr size_t longest = 65'536;        // bytes of a datagram
 constexpr size_t most_waiting = 4 << 20;  // bytes in one direction without a rate limit
-constexpr double queue_seconds = 0.5;     // that a rate limit lets wait
+constexpr double queue_seconds = 0.5;     // s: data that may wait for a rate limit
 constexpr double least_timeout = 200;     // ms until TCP sends a lost segment again
-constexpr int socket_buffer = 32 << 10;   // bytes: what waits, waits in the proxy
+constexpr int socket_buffer = 32 << 10;   // bytes: small, so that data waits in the proxy
 constexpr size_t most_flows = 256;
 
 Clock::duration milliseconds(double ms) {
@@ -54,21 +54,21 @@ struct Socket {
 
 struct Packet {
   Clock::time_point due;
-  std::vector<char> bytes;  // of a stream: none is its end
+  std::vector<char> bytes;  // empty: the end of a stream
   size_t sent = 0;
 };
 
 // One direction of one connection.
 struct Way {
   int from = -1, to = -1;
-  std::deque<Packet> packets;  // by due
+  std::deque<Packet> packets;  // sorted by due time
   size_t waiting = 0;          // bytes
-  Clock::time_point free{};    // when the wire is, of a rate limit
-  Clock::time_point last{};    // due, of all so far
+  Clock::time_point free{};    // when a wire with a rate limit is free again
+  Clock::time_point last{};    // latest due time so far
   bool ended = false, blocked = false;
 };
 
-// The client's end of a datagram flow is an address, of the listening socket.
+// The client's end of a datagram flow is an address that the listening socket sends to.
 struct Flow {
   Socket near, far;
   sockaddr_in client{};
@@ -104,7 +104,7 @@ struct ImpairedLink::Proxy {
   std::list<Flow> flows;
   std::vector<char> buffer = std::vector<char>(longest);
 
-  mutable std::mutex lock;  // of what follows
+  mutable std::mutex lock;  // protects the members below
   Weather weather;
   LinkState state = LinkState::up;
   Counts counts;
@@ -212,7 +212,7 @@ struct ImpairedLink::Proxy {
     }
   }
 
-  // Sends what is due.
+  // Sends the packets that are due.
   void pass(Flow& flow, Way& way) {
     way.blocked = false;
     while (!way.packets.empty() && way.packets.front().due <= Clock::now()) {
@@ -243,7 +243,7 @@ struct ImpairedLink::Proxy {
     }
   }
 
-  // Waits until something can be done, and does it.
+  // Waits until a socket or a packet is ready, and handles it.
   void turn() {
     if (state == LinkState::cut) flows.clear();
     std::vector<pollfd> fds = {{wake.fd, POLLIN, 0}};
@@ -282,7 +282,7 @@ struct ImpairedLink::Proxy {
     ppoll(fds.data(), fds.size(), next ? &timeout : nullptr, nullptr);
     lock.lock();
     uint64_t woken;
-    if (fds[0].revents && read(wake.fd, &woken, sizeof woken) > 0) return;  // what was set may forbid what was waited for
+    if (fds[0].revents && read(wake.fd, &woken, sizeof woken) > 0) return;  // a new setting may forbid the awaited event
     for (size_t i = 0; i < waiting.size(); ++i) {
       if (!fds[i + 2].revents || !waiting[i].in) continue;
       datagrams ? take_datagrams(*waiting[i].flow) : take_stream(*waiting[i].flow, *waiting[i].way);

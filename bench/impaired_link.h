@@ -1,6 +1,7 @@
-// A bad network between programs of one machine, for tests and the load harness; it needs no rights, as `tc netem` would. A
-// proxy: clients connect to endpoint(), what passes is delayed and damaged in both directions alike, and comes out at `to`. TCP
-// shows what it makes of loss: the stream stands until the segment was sent again. Datagrams are really lost. Seeded.
+// A proxy that imitates a bad network between programs of one machine, for tests and the load harness. Unlike `tc netem` it
+// needs no root rights. Clients connect to endpoint(), and the proxy connects to `to`. It delays and damages the data in both
+// directions alike. On a lost TCP segment it holds the stream until TCP would have resent the segment; datagrams are really
+// lost. A seed determines all random draws.
 #pragma once
 
 #include <cstdint>
@@ -10,18 +11,18 @@
 namespace crumple {
 
 struct Weather {
-  double delay = 0, jitter = 0;  // ms, one way: delay +- jitter; the order stays
+  double delay = 0, jitter = 0;  // ms, one way: delay +- jitter; the order is kept
   double loss = 0;               // share of segments (1448 bytes) or datagrams
   double damage = 0;             // share of segments or datagrams in which a bit is flipped
   double repeat = 0;             // share of datagrams that arrive twice
-  double reorder = 0;            // share of datagrams that are not delayed, and so overtake
-  double kbit = 0;               // a second; what is over it waits half a second at most; 0: no limit
+  double reorder = 0;            // share of datagrams that are not delayed, so they overtake others
+  double kbit = 0;               // kbit/s; further data waits for half a second at most; 0: no limit
 };
 
 enum class LinkState {
   up,
-  stalled,  // connections stay, nothing passes
-  cut,      // connections are closed, new ones too
+  stalled,  // connections stay open, but no data passes
+  cut,      // all connections are closed, also new ones
 };
 
 class ImpairedLink {

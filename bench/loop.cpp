@@ -1,6 +1,6 @@
-// The thesis's deformation loop (6.3.3) and what came to it. All on one scene: the car has been driven into a wall at 50 km/h
-// for one tick of 1/60 s, so that its front is crushed and pressed against the wall. Serial is one car on one thread; parallel
-// is a car on each thread, and the time is given per car: the server's threads are spread over cars, not within one.
+// Measures the thesis's deformation loop (6.3.3) and the parts that we added. All use one scene: the car has driven into a wall
+// at 50 km/h for one tick of 1/60 s, so its front is crushed and pressed against the wall. Serial means one car on one thread.
+// Parallel means one car on each thread, because the server gives whole cars to threads; the time is per car.
 #include <tbb/parallel_for.h>
 
 #include "rooms.h"
@@ -24,7 +24,7 @@ struct Scene {
   Motion motion;
 };
 
-// What one car needs for a tick.
+// The data that one car needs for a tick.
 struct Lane {
   DeformableState body;
   Motion motion;
@@ -46,11 +46,11 @@ Scene make_scene(const std::shared_ptr<const Car>& car) {
   scene.motion.velocity.x() = speed;
   scene.parameters.iterations = 4;
   deform({model, scene.parameters, scene.mass, scene.wall, tick_seconds}, *make_scratch(), scene.body, scene.motion);
-  scene.motion.velocity = Eigen::Vector3d(speed, 0, 0);  // as fast as before, whatever the few sweeps made of it
+  scene.motion.velocity = Eigen::Vector3d(speed, 0, 0);  // restores the speed, which few sweeps would get wrong
   return scene;
 }
 
-// Made when the first benchmark of a car asks for it.
+// Created when the first benchmark of a car needs it.
 const Scene& scene_of(const Bench& bench) {
   static std::string owner;
   static std::unique_ptr<const Scene> scene;
@@ -81,14 +81,14 @@ std::vector<Lane> make_lanes(const Scene& scene, int count) {
 
 using Work = std::function<void(const Scene&, Lane&)>;
 
-// Seconds per lane of `work` on all lanes at once, a thread each.
+// Returns the seconds per lane of `work` on all lanes at once, with a thread for each.
 double side_by_side(const Scene& scene, std::vector<Lane>& lanes, tbb::task_arena& arena, const Work& work) {
   if (lanes.size() == 1) return seconds_of([&] { work(scene, lanes[0]); }, thread_seconds);
   const auto all = [&] { tbb::parallel_for(size_t(0), lanes.size(), [&](size_t i) { work(scene, lanes[i]); }); };
   return seconds_of([&] { arena.execute(all); }) / double(lanes.size());
 }
 
-// changes: the work changes the body, which is then put back before each run.
+// changes: the work changes the body, so the benchmark restores the body before each run.
 benchmark::internal::Benchmark* register_work(const std::shared_ptr<const Bench>& bench, const std::string& room, int threads,
                                               bool changes, const Work& work) {
   return register_room(room + "/" + bench->name + "/" + std::to_string(threads), [=](benchmark::State& state) {
@@ -117,7 +117,7 @@ Work classic(int iterations) {
 
 void update_skin(const Scene& scene, Lane& lane) { skin(scene.car->model, lane.body, lane.vertex); }
 
-// What the server does with a car in a tick of `classic`: the three rooms and all that lies between them.
+// A tick of `classic` as the server computes it: the three stages and the code between them.
 void whole_loop(const Scene& scene, Lane& lane) {
   Parameters parameters = scene.parameters;
   parameters.solver = Solver::classic;
@@ -127,7 +127,7 @@ void whole_loop(const Scene& scene, Lane& lane) {
   update_skin(scene, lane);
 }
 
-// Four sub-steps of `nodal`, timed stage by stage by the timer that also feeds the server's health.
+// Four sub-steps of `nodal`, with the time of each stage from the timer that also feeds the server's health.
 class RoomTimes final : public Timer {
  public:
   std::array<double, 3> seconds{};
@@ -161,14 +161,14 @@ void register_nodal(const std::shared_ptr<const Bench>& bench, int sweeps) {
       state.SetIterationTime(times.seconds[size_t(SolveStage::solve)] - before);
       substeps += lane.result.substeps;
     }
-    const double milli = 1000 / std::max(1.0, substeps);  // a sub-step, in ms
+    const double milli = 1000 / std::max(1.0, substeps);  // ms in a sub-step
     state.counters["substeps"] = lane.result.substeps;
     state.counters["contacts_ms"] = times.seconds[size_t(SolveStage::contacts)] * milli;
     state.counters["flow_ms"] = times.seconds[size_t(SolveStage::flow)] * milli;
   });
 }
 
-// The tick as a host gets it by default, surface and all.
+// A tick with default parameters, including the surface.
 void default_tick(const Scene& scene, Lane& lane) {
   lane.result = deform({scene.car->model, {}, scene.mass, scene.wall, tick_seconds}, *lane.scratch, lane.body, lane.motion);
   update_skin(scene, lane);

@@ -1,4 +1,4 @@
-// What stands in every row of a measurement: on which machine it was made.
+// Describes the machine, for every row of a measurement.
 #pragma once
 
 #include <fstream>

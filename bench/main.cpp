@@ -1,4 +1,4 @@
-// crumple_bench [GOOGLE BENCHMARK'S OPTIONS] CAR ...: one benchmark for each room and car. bench/run is the way to call it.
+// crumple_bench [GOOGLE BENCHMARK'S OPTIONS] CAR ...: one benchmark for each room and car. bench/run calls it.
 #include <cstdio>
 #include <exception>
 

@@ -1,13 +1,13 @@
-// What a dent comes to beside CalculiX: the three cases of bench/peers/calculix.py on the same meshes, by deform().
+// Plays the three cases of bench/peers/calculix.py with deform() on the same meshes, to compare our dents with CalculiX's.
 //   crumple_outside FOLDER [--commit NAME] -o CSV
-// in: bar.mesh, block.mesh and tube.mesh in FOLDER, as `calculix.py --meshes FOLDER` writes them. out: a row a figure, named as
-// in bench/peers/calculix.csv; `at`: the place x in a profile of the dent, or the crush of a force, m. Sweeps: exactly so many
-// in each sub-step; 0: as many as the default takes.
-// bar    bar.h, and its closed form
-// block  a box of 0.22 m (its edges pass between two rows of nodes) pushes 0.04 m down in a second and is gone; without
-//        friction (free) or with one of 100 (stuck)
-// tube   the same by a plate, 0.05 m, stuck
-// The base of block and tube is anchored; both come to rest before they are measured.
+// in: bar.mesh, block.mesh and tube.mesh in FOLDER, written by `calculix.py --meshes FOLDER`. out: one row for each figure,
+// with the names of bench/peers/calculix.csv. `at`: the place x in a profile of the dent, or the crush at which a force acts,
+// m. Sweeps: exactly this number in each sub-step; 0: the default tolerance decides. bar    the bar of bar.h, and its closed
+// form block  a box of 0.22 m, whose edges pass between two rows of nodes, pushes down by 0.04 m in a second and then
+// disappears;
+//        without friction (free), or with a coefficient of 100 (stuck)
+// tube   a plate pushes down by 0.05 m in the same way, stuck
+// The base of block and tube is anchored. Both come to rest before they are measured.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -27,7 +27,7 @@ constexpr double tick_seconds = 1.0 / 60;
 constexpr int push_ticks = 60;
 constexpr float near = 1e-5f;  // m
 
-// sweeps: exactly so many in each sub-step; 0: as many as the default takes.
+// sweeps: exactly this number in each sub-step; 0: the default tolerance decides.
 Parameters parameters_of(float yield, int sweeps) {
   Parameters out;
   if (sweeps > 0) out.iterations = uint16_t(sweeps), out.tolerance = 0;
@@ -82,7 +82,7 @@ void pull(const TetMesh& bar, float yield, int sweeps, Report& report) {
   report.add("closed form", closed_form_set(parameters.region[0]), "m", pulled.body);
 }
 
-// Pushes down by `depth` within push_ticks and reports the force on the way. The body is left under the obstacle.
+// Pushes down by `depth` within push_ticks and reports the force on the way. The obstacle stays on the body.
 double push_down(const HeldMesh& mesh, const Parameters& parameters, double depth, Obstacle& obstacle, Scratch& scratch,
                  DeformableState& body, Report& report) {
   Motion motion;

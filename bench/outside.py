@@ -1,7 +1,8 @@
-"""Our dents beside CalculiX's: outside.csv (crumple_outside) against the committed peers/calculix*.csv.
+"""Compares our dents with CalculiX's: outside.csv (crumple_outside) with the committed peers/calculix*.csv.
 
-A figure is compared with C3D10's, the finer answer; with C3D4, our very tets, beside it. What must agree is what stays
-(peers/calculix.py says why): forces and the dent's surroundings are shown, not judged, since foam compacts where J2 flows aside.
+Figures are compared with those of C3D10, the more accurate elements; those of C3D4, which are our own tets, are shown too. Only the
+residual dents must agree (peers/calculix.py says why). Forces and the surroundings of the dent are only shown, because foam
+compacts where a J2 material flows aside.
 """
 
 import csv
@@ -33,7 +34,7 @@ def same(a, b, *keys):
 
 
 class Outside:
-    default = 0  # sweeps: as many as the default takes
+    default = 0  # sweeps: the default tolerance decides
 
     def __init__(self, folder):
         path = folder / "outside.csv"
@@ -42,12 +43,12 @@ class Outside:
         self.block, self.tube = read(here / "calculix_block.csv"), read(here / "calculix_tube.csv")
 
     def value(self, row, element):
-        """CalculiX's of one of our rows."""
+        """Returns the CalculiX row for one of our rows."""
         keys = ("case", "nu", "yield", "hardening", "sides", "quantity")
         return next((each["value"] for each in self.theirs if each["element"] == element and same(each, row, *keys)), math.nan)
 
     def scalars(self):
-        """(our row at the default, ours at the most sweeps, C3D4's, C3D10's)."""
+        """Returns (our row at the default, our row with the most sweeps, C3D4's, C3D10's)."""
         rows = [row for row in self.ours if row["at"] == "" and not row["quantity"].startswith("highest")
                 and not math.isnan(self.value(row, "C3D10"))]
         for row in rows:
@@ -56,18 +57,18 @@ class Outside:
                 yield row, max(more, key=lambda each: each["sweeps"]), self.value(row, "C3D4"), self.value(row, "C3D10")
 
     def dents(self):
-        """(case, share by which what stays is off at the default sweeps) of every run."""
+        """Returns (case, relative error of the residual dent at the default sweeps) of every run."""
         return [(row["case"], row["value"] / fine - 1) for row, _, _, fine in self.scalars()
                 if row["quantity"] == STAYS[row["case"]]]
 
     def sets(self):
-        """(sweeps, share by which the bar's set is off its closed form), yield 0.02."""
+        """Returns (sweeps, relative error of the bar's residual elongation against its closed form), yield 0.02."""
         bars = [row for row in self.ours if row["case"] == "bar" and row["yield"] == 0.02]
         closed = {row["sweeps"]: row["value"] for row in bars if row["quantity"] == "closed form"}
         return [(row["sweeps"], row["value"] / closed[row["sweeps"]] - 1) for row in bars if row["quantity"] == STAYS["bar"]]
 
     def profile(self, yield_strain, sides, element):
-        """x and rise of the middle line after release; element: CalculiX's, or ours."""
+        """Returns x and height of the middle line after release. element: of CalculiX, or ours."""
         if element == "ours":
             return [(row["at"], row["value"]) for row in self.ours if row["quantity"] == "released_m" and
                     row["yield"] == yield_strain and row["sides"] == sides and row["sweeps"] == self.default]
@@ -75,7 +76,7 @@ class Outside:
                 if row["yield"] == yield_strain and row["sides"] == sides and row["element"] == element]
 
     def apart(self, yield_strain, sides):
-        """Rms distance of the two profiles at our nodes, as a share of the dent."""
+        """Returns the rms distance of the two profiles at our nodes, as a share of the dent."""
         fine = dict((round(x, 6), rise) for x, rise in self.profile(yield_strain, sides, "C3D10"))
         ours = sorted(self.profile(yield_strain, sides, "ours"))
         return math.sqrt(sum((rise - fine[round(x, 6)]) ** 2 for x, rise in ours) / len(ours)) / -min(fine.values())

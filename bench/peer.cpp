@@ -1,8 +1,9 @@
-// One run of the peers' scene (bench/peers/scene.py, play.py) by deform(): `nodal`, elastic, one sub-step or more a step.
+// Plays the scene of the peers (bench/peers/scene.py, play.py) once with deform(): `nodal`, elastic, one or more sub-steps in a
+// step.
 //   crumple_peer SCENE OUT THREADS SUBSTEPS SWEEPS STEPS
-// SCENE is the little-endian file that play.py writes for Jolt too; OUT gets the final node positions as float32. Prints one
-// line of JSON: milliseconds to build (constraints, colours), milliseconds of every step, and of the blocks of nodes the
-// share that the last sub-step solved. The pushed nodes are held (held.h).
+// SCENE is the little-endian file that play.py also writes for Jolt. OUT gets the final node positions as float32. Prints one
+// line of JSON: the milliseconds to build constraints and colours, the milliseconds of every step, and the share of the blocks
+// that the last sub-step solved. The scene holds the pushed nodes (held_mesh.h).
 #include <tbb/global_control.h>
 #include <tbb/task_arena.h>
 
@@ -25,8 +26,8 @@ namespace {
 using namespace crumple;
 
 struct Scene {
-  TetMesh tets;                       // as the product orders them
-  std::vector<uint32_t> origin;       // of each node: its index in the file
+  TetMesh tets;                       // in the order of a baked car
+  std::vector<uint32_t> origin;       // index of each node in the file
   std::vector<uint8_t> held, pushed;  // per node
   float dt = 0, speed = 0;            // s; m/s along -x
 };
@@ -81,7 +82,7 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
   parameters.substeps = uint16_t(substeps);
   for (Material& material : parameters.region) {
     material.plastic_limit = 0;
-    material.yield_strain = 1;  // and no tet is tried for flow
+    material.yield_strain = 1;  // so no tet flows
   }
   const ScratchHandle scratch = make_scratch();
   DeformableState body = make_body(mesh.model());

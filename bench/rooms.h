@@ -1,7 +1,7 @@
-// What the benchmarks share: the car on the bench, two clocks, and a count of threads. A benchmark is named ROOM/CAR or
-// ROOM/CAR/THREADS; bench/tables.py reads these names. What is set up between two runs is not in the times. Rooms of the loop
-// on one thread are measured in processor time of that thread, so that other work on the machine hardly counts; all else by the
-// wall.
+// Shared by the benchmarks: the measured car, two clocks, and the number of threads. A benchmark has the name ROOM/CAR or
+// ROOM/CAR/THREADS; bench/tables.py reads these names. The times exclude the preparation between two runs. Rooms of the loop on
+// one thread are measured in processor time of that thread, so that other work on the machine hardly matters; all others in
+// wall time.
 #pragma once
 
 #include <benchmark/benchmark.h>
@@ -19,19 +19,19 @@
 
 namespace crumple {
 
-// One car file; SURFACE-NODES.car gives the tables their row.
+// One car file. Its name SURFACE-NODES.car chooses the row of the tables.
 struct Bench {
   std::filesystem::path file;
-  std::string name;  // its stem
+  std::string name;  // the file's name without .car
   std::shared_ptr<const Car> car;
 };
 
-// Bake time: reading, constraints, skin, the whole assembly, and loading what came of them.
+// Measured while baking: reading, constraints, skin, the whole assembly, and loading the result.
 void register_bake(const std::shared_ptr<const Bench>&);
-// Run time: contacts, solvers, flow, surface, the loop of the thesis, the messages.
+// Measured in a tick: contacts, solvers, flow, surface, the loop of the thesis, the messages.
 void register_loop(const std::shared_ptr<const Bench>&);
 
-// As many cars side by side as here are cores; more than the thesis's six would no longer be its table.
+// As many cars side by side as the machine has cores, but at most six as in the thesis's table.
 inline int all_threads() { return std::clamp(int(std::thread::hardware_concurrency()), 1, 6); }
 
 inline double wall_seconds() {
@@ -50,7 +50,7 @@ inline double seconds_of(const std::function<void()>& work, double (*clock)() = 
   return clock() - start;
 }
 
-// body: times each iteration itself and tells it by SetIterationTime.
+// body: measures each iteration itself and reports it by SetIterationTime.
 inline benchmark::internal::Benchmark* register_room(const std::string& name,
                                                      const std::function<void(benchmark::State&)>& body) {
   return benchmark::RegisterBenchmark(name.c_str(), body)->UseManualTime()->Unit(benchmark::kMillisecond);

@@ -1,18 +1,20 @@
-// How many cars a tick of 1/60 s has room for, and what each way of having more costs in accuracy, measured in one run:
+// Measures how many cars one tick of 1/60 s can compute, and how much accuracy each way to compute more of them costs:
 //   crumple_scene CAR... [--threads N] [--commit NAME] -o CSV
-// in: baked cars of one surface, the levels of one car. out: one row a scene, level, number of sweeps and budget.
-// Scenes, played by the server's whole tick (World), cars side by side before one wall:
+// in: baked cars of one surface, the levels of one car. out: one row for each scene, level, number of sweeps and budget.
+// Scenes with the server's whole tick (World), cars side by side before one wall:
 //   asleep     many cars at rest, the wall out of reach
-//   tapped     cars reach the wall at 1.5 m/s; crashing: at 50 km/h; at the default, with so many sweeps whatever the residual,
-//              and with fewer sub-steps
-//   overload   crashing, every other car of importance 0.1, with a budget of a share of the work that they ask for
-// Time: by the wall, a car and tick in which the car is solved, best of several plays. Error: of the surface at the end, rms
-// and largest over its vertices, from that of the finest level with 100 sweeps, always; in m, and rms in % of the largest
-// displacement and of the car's diagonal. Work: tet visits a car and tick.
-//   all awake  one car is tapped, one sub-step a tick, as it is and with all nodes held awake: what the active set saves
-//   switch     the finest level, crashed into a pole, changes its level down, and up again: how far its surface jumps;
-//   "settled"
-//              is how far it creeps when it is woken then
+//   tapped     cars reach the wall at 1.5 m/s
+//   crashing   cars reach the wall at 50 km/h. Both scenes run with default parameters, with a fixed number of sweeps, and with
+//              fewer sub-steps
+//   overload   crashing; every other car has importance 0.1, and the budget is a share of the work that the cars ask for
+// Time: wall time of a tick per solved car, best of several plays. Error: the distance of the surface at the end from the
+// result of the finest level with 100 sweeps, rms and largest over its vertices; in m, and rms in % of the largest displacement
+// and of the car's diagonal. Work: tet visits per car and tick. Further scenes:
+//   all awake  one car is tapped, with one sub-step in a tick: as usual, and with all nodes kept awake. The difference is the
+//   gain
+//              from the active set.
+//   switch     the finest level, crashed into a pole, switches to a coarser level and back. Measures how far its surface jumps.
+//              "settled" is how far the surface creeps when the car is woken afterwards.
 // Nothing here is random: the seed is 0.
 #include <algorithm>
 #include <cmath>
@@ -38,7 +40,7 @@ using namespace crumple;
 
 constexpr double rate = 60, tap = 1.5, crash = 50 / 3.6, gap = 0.02;  // 1/s, m/s, m
 constexpr int exact_sweeps = 100;
-constexpr int ticks = 60;  // of a play; the cars are at rest by then
+constexpr int ticks = 60;  // in a play; the cars are at rest at its end
 constexpr size_t cars_hit = 8, cars_asleep = 200;
 constexpr double lane = 4;  // m from car to car
 constexpr float unimportant = 0.1f;
@@ -62,7 +64,7 @@ std::vector<Vec3> surface_of(const Model& model, const DeformableState& body) {
   return vertex;
 }
 
-// Of two surfaces, m.
+// The distance of two surfaces, m.
 struct Error {
   double rms = 0, most = 0;
 };
@@ -80,7 +82,7 @@ Error compare(const std::vector<Vec3>& a, const std::vector<Vec3>& b) {
 struct Scene {
   const char* name;
   double speed;           // m/s
-  double distance = gap;  // m, of the wall from the noses
+  double distance = gap;  // m, from the noses to the wall
   size_t cars = cars_hit;
   int sweeps = Parameters{}.iterations;
   float tolerance = Parameters{}.tolerance;  // m
@@ -92,9 +94,9 @@ struct Scene {
 struct Play {
   double seconds = 0;            // a car and tick
   double work = 0;               // tet visits a car and tick
-  double most_work = 0;          // of all cars, in a tick
-  double shed = 0;               // share of the work that was asked for
-  std::vector<Vec3> surface[2];  // of the first and the second car, at the end
+  double most_work = 0;          // of all cars in one tick
+  double shed = 0;               // share of the requested work that was left out
+  std::vector<Vec3> surface[2];  // of the first and the second car at the end
   uint64_t bits = 0;
 };
 
@@ -156,7 +158,7 @@ Play play_once(const std::shared_ptr<const Car>& asset, const Scene& scene, int 
   return play;
 }
 
-// The best of several plays, all of which end with the same bits.
+// Returns the best of several plays. All plays end with the same bits.
 Play play(const std::shared_ptr<const Car>& asset, const Scene& scene, int threads) {
   Play best = play_once(asset, scene, threads);
   for (int k = 1; k < repetitions; ++k) {
@@ -181,16 +183,16 @@ struct Row {
   int sweeps, threads;
   int substeps = Parameters{}.substeps;
   double tolerance = double(Parameters{}.tolerance);  // m
-  double budget = 1;                                  // share of the most that is asked for
+  double budget = 1;                                  // share of the largest requested work
   double importance = 1;
   double seconds = nan_value, work = nan_value;  // a car and tick
   Error error = {nan_value, nan_value};
-  double largest = nan_value;  // displacement in the answer, m
+  double largest = nan_value;  // largest displacement in the reference result, m
   double shed = nan_value;
   uint64_t bits = 0;
 };
 
-// The table that is being written; a value that was not measured is an empty field.
+// The table being written. A value that was not measured is an empty field.
 class Table {
  public:
   Table(const Options& options, double diagonal)
@@ -226,7 +228,7 @@ class Table {
   std::string about_;
 };
 
-// What a scene comes to when nothing is saved: the finest level, many sweeps.
+// The reference result of a scene: the finest level with many sweeps.
 struct Answer {
   std::vector<Vec3> surface;
   double largest;  // m
@@ -281,7 +283,7 @@ void measure_hit(const Cars& levels, const Scene& scene, int threads, Table& tab
       one.substeps = substeps;
       table.add(row_of(one, *car, threads, play(car, one, threads), exact));
       one.tolerance = 0;
-      for (int sweeps : {4, 6, 8}) {  // what a budget may leave (server/tick/budget.cpp)
+      for (int sweeps : {4, 6, 8}) {  // the fewest sweeps that a budget may leave (server/tick/budget.cpp)
         one.sweeps = sweeps;
         table.add(row_of(one, *car, threads, play(car, one, threads), exact));
       }
@@ -307,7 +309,8 @@ void measure_overload(const Cars& levels, int threads, Table& table) {
   }
 }
 
-// One sub-step a tick, so that all can be held awake from outside: by steps just above those of a node at rest.
+// Makes one sub-step in a tick, so that the benchmark can keep all nodes awake: it sets their steps just above those of a
+// resting node.
 Play tapped_alone(const Model& model, bool all_awake) {
   const Mass mass = mass_of(model);
   const ScratchHandle scratch = make_scratch();
@@ -372,7 +375,7 @@ DeformableState crashed_into_a_pole(const Model& model) {
   return body;
 }
 
-// How far it moves when nothing holds it.
+// How far the car moves when nothing holds it.
 double creep(const Model& model, DeformableState body) {
   const ScratchHandle scratch = make_scratch();
   const auto before = surface_of(model, body);

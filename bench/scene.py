@@ -1,4 +1,4 @@
-"""Of the page of bench/run: how many cars a tick of 1/60 s has room for, against accuracy.
+"""A part of the page of bench/run: how many cars one tick of 1/60 s can compute, against accuracy.
 
 The rows are those of crumple_scene.
 """

@@ -1,9 +1,10 @@
-// What `nodal` leaves undone in a crash, beside the reference minimiser on the same path:
+// Measures the error of `nodal` in a crash, compared with the reference minimiser on the same path:
 //   crumple_reference CAR [--pole] [--depth METRES] [--friction COEFFICIENT] [--material NAME VALUE] [--sweeps N,N,...]
-// in: a baked car; it is driven into a wall (or a pole) at 50 km/h to the depth given (0.20 m), then held until the second
-// sixtieth of a second is over. out: a table in Markdown: after each 1/240 s the distance of nodal's nodes to the reference's
-// (RMS over all nodes and the largest, as a share of the largest displacement too) and the contact force of both; first against
-// the exact law, then against the sweeps' own (reference_law.h), which tells an unconverged solver from a different law.
+// in: a baked car, which drives into a wall (or a pole) at 50 km/h to the given depth (0.20 m by default), and is then held
+// until 2/60 s are over. out: a table in Markdown. After each 1/240 s it has the distance of nodal's nodes to the reference's
+// (RMS over all nodes and the largest, also as a share of the largest displacement) and the contact force of both. The first
+// comparison is with the exact law, the second with the law of the sweeps (reference/law.h), which shows whether the solver has
+// not converged or solves a different law.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -30,11 +31,11 @@ struct Scene {
   std::shared_ptr<const Car> car;
   Parameters parameters;
   Obstacle obstacle;
-  std::vector<double> velocity;  // of the car along x in each sub-step, m/s
+  std::vector<double> velocity;  // m/s, velocity of the car along x in each sub-step
   std::vector<int> sweeps = {5, 20, 200};
 };
 
-// What one method had after each row.
+// The result of one method after each row.
 struct Row {
   std::vector<Eigen::Vector3d> node;
   double force = 0;     // along x, N

@@ -1,13 +1,13 @@
-// The stability matrix: every method against every hostile start, and what became of the car.
+// The stability matrix: plays every hostile start with every method, and reports the state of the car at the end.
 //   crumple_stability CAR [--quick] [--seed N] [--only TEXT] -o CSV
-// in: a baked car (1,000 nodes are plenty); out: one row a cell: what happened, the share of inverted tets, the rms distance of
-// the nodes from where they should be in % of the car's diagonal, the hash of the body, ticks, and how many of them deform()
-// undid; baselines play a tenth of the random scenes. The same car and seed give the same rows on any number of threads.
-// A start that says "elastic" has no plasticity, so the car must come back to rest; one that says "plastic" has the default
-// material, was dented by a wall before nodes were displaced, and must come back to that dent. Where a car is dented by the
-// scene itself, it must stay finite, without inverted tets, and no farther from rest than what pushed it could bring it.
-// What happened: recovered; wrong rest; inverted (tets); passed (an obstacle went through the car); exploded (a node 10 m from
-// rest or more); not finite (at the end, or deform() had to undo a tick for it).
+// in: a baked car (1,000 nodes are enough). out: one row for each method and start: the outcome, the share of inverted tets,
+// the rms distance of the nodes from their goal in % of the car's diagonal, the hash of the body, the number of ticks, and how
+// many ticks deform() undid. Baselines play a tenth of the random scenes. The same car and seed give the same rows on any
+// number of threads. In a start named "elastic" there is no plasticity, so the car must return to rest. A start named "plastic"
+// has the default material: a wall dents the car first, then nodes are displaced, and the car must return to that dent. If the
+// scene itself dents the car, the car must stay finite and without inverted tets, and no farther from rest than the obstacle
+// can have pushed it. Outcomes: recovered; wrong rest; inverted (tets); passed (an obstacle went through the car); exploded (a
+// node is 10 m or more from rest); not finite (at the end, or deform() undid a tick because of it).
 #include <tbb/parallel_for.h>
 
 #include <CLI/CLI.hpp>
@@ -44,7 +44,7 @@ Outcome judge(const Run& run) {
   const double rms = std::sqrt(squares / double(run.goal.size())), diagonal = double(run.box.size().norm());
   out.inverted = 100 * double(inverted) / double(run.model.tet.size());
   out.error = 100 * rms / diagonal;
-  if (!finite(run.body)) out.inverted = out.error = std::numeric_limits<double>::quiet_NaN();  // the same text for all
+  if (!finite(run.body)) out.inverted = out.error = std::numeric_limits<double>::quiet_NaN();  // one text for every NaN
   if (!finite(run.body) || (run.undone > 0 && !run.poisoned))
     out.what = "not finite";
   else if (run.exploded || !(run.farthest() <= exploded_distance))

@@ -14,7 +14,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 from matplotlib.patches import Patch, Rectangle
 
-# Okabe and Ito's colours, told apart by any eye; worst last.
+# Okabe and Ito's colours, which the colour-blind can tell apart too; the worst outcome is last.
 OUTCOMES = {
     "recovered": ("R", "#009E73"),
     "wrong rest": ("W", "#F0E442"),
@@ -27,7 +27,7 @@ RANDOM = "random scene"
 
 
 def read_cells(path):
-    """(methods, starts, {(method, start): [row, ...]}), in the file's order; random scenes under one start."""
+    """Returns (methods, starts, {(method, start): [row, ...]}) in the file's order. All random scenes count as one start."""
     cells = collections.defaultdict(list)
     with open(path, newline="") as file:
         for row in csv.DictReader(file):
@@ -39,7 +39,7 @@ def read_cells(path):
 
 
 def describe(rows):
-    """The worst outcome of the rows, and the cell's text."""
+    """Returns the worst outcome of the rows, and the text of the cell."""
     outcomes = [row["outcome"] for row in rows]
     worst = max(outcomes, key=list(OUTCOMES).index)
     letter = OUTCOMES[worst][0]

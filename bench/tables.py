@@ -1,5 +1,5 @@
-# Tables 6.1 to 6.9 of Ille 2020 with ours beside them, as Markdown on stdout. In: thesis.csv beside this file, and the JSON of
-# crumple_bench, one file or many. Times are ms; ours are the best of the repetitions, with their median in brackets.
+# Prints tables 6.1 to 6.9 of Ille 2020 beside ours, as Markdown. In: thesis.csv in this folder, and one or more JSON files of
+# crumple_bench. Times are ms. Ours are the best of the repetitions, with their median in brackets.
 import csv
 import json
 import os
@@ -18,7 +18,7 @@ def read_thesis():
 
 
 class Runs:
-    """What crumple_bench measured, by room, car (surface, nodes) and threads."""
+    """Reads the measurements of crumple_bench by room, car (surface, nodes) and threads."""
 
     def __init__(self, files):
         self.runs, self.contexts = {}, []
@@ -61,7 +61,7 @@ def best(values):
 
 
 def add(*lists):
-    """The sums of runs that belong together, repetition by repetition."""
+    """Adds up runs that belong together, repetition by repetition."""
     return [sum(values) for values in zip(*lists)] if all(lists) else []
 
 
@@ -75,7 +75,7 @@ def table(head, rows):
 
 
 def initialization(runs, thesis, name, title, threads):
-    """6.1, 6.3, 6.6: one car, by step."""
+    """Tables 6.1, 6.3, 6.6: one car, by step."""
     columns = ["reading", "constraints", "mapping", "total"]
     steps = {
         "reading": add(runs("read_surface", MEDIUM), runs("read_tets", MEDIUM)),
@@ -138,7 +138,7 @@ def table_67(runs, thesis):
 
 
 def loop(runs, thesis, name, title, threads):
-    """6.8, 6.9: every car, by room."""
+    """Tables 6.8, 6.9: every car, by room."""
     rooms = {"cp": "contacts", "cs": "classic_1", "bc": "update", "total": "loop"}
     rows = []
     for car in runs.cars:
@@ -151,7 +151,7 @@ def loop(runs, thesis, name, title, threads):
 
 
 def classic_ns(runs, car, further):
-    """ns per constraint: of the first iteration, which also moves the rest values, or of a further one."""
+    """Returns ns per constraint of the first iteration, which also changes the rest values, or of a further iteration."""
     constraints = runs.fact("load", car, "edges") + runs.fact("load", car, "tets")
     one, five = best(runs("classic_1", car)), best(runs("classic_5", car))
     if not constraints or not one or not five:
@@ -216,7 +216,7 @@ def heading(runs):
         "Times in ms. Ours: **best** (median) of the repetitions; serial rooms of the loop (6.8 and below) in processor time, "
         "all else by the wall.",
     ]
-    if load > 1.5:  # the benchmark's own thread is one
+    if load > 1.5:  # the benchmark's own thread counts as 1
         lines.append(f"**The machine was busy with other work: load {load:.1f} on {cores} cores. What is measured by the wall "
                      "is too high, parallel figures most.**")
     missing = [car for car in [(s, n) for s in (1259, 3674) for n in (1000, 5000, 10000, 50000)] if car not in runs.cars]

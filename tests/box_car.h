@@ -1,5 +1,5 @@
-// A car for tests that need no bake: a box of cells of six tets each, its surface the box's own nodes, its middle third
-// anchored. Goes through the schema, so that it is read and checked as any baked car is.
+// A car for tests that need no bake: a box of cells with six tets each. Its surface consists of the box's own nodes, and its
+// middle third is anchored. It is written with the schema, so it is read and checked like any baked car.
 #pragma once
 
 #include <memory>
@@ -20,10 +20,11 @@ struct BoxMesh {
   TetMesh tets;
   std::vector<uint8_t> anchored;   // per node
   std::vector<uint32_t> surface;   // node of each vertex
-  std::vector<uint32_t> triangle;  // 3 a triangle, outward
+  std::vector<uint32_t> triangle;  // 3 nodes per triangle, facing outward
 };
 
-// length (m) along x about the origin, y and z in proportion 4.5 : 1.8 : 1.5, standing on z = 0.
+// The box has this length (m) along x, centred at the origin; length, width and height are in the proportion 4.5 : 1.8 : 1.5.
+// It stands on z = 0.
 inline BoxMesh box_mesh(BoxCells cells, float length = 4.5f) {
   BoxMesh mesh;
   const auto at = [&](int x, int y, int z) { return uint32_t((z * (cells.y + 1) + y) * (cells.x + 1) + x); };
@@ -37,7 +38,8 @@ inline BoxMesh box_mesh(BoxCells cells, float length = 4.5f) {
       }
     }
   }
-  // Kuhn's six tets of a cell: along each order of the axes from the lowest corner to the highest; faces of neighbours match.
+  // Kuhn's six tets of a cell: one for each order of the axes, along the path from the lowest corner to the highest. Faces of
+  // neighbouring cells match.
   constexpr int orders[6][3] = {{0, 1, 2}, {1, 2, 0}, {2, 0, 1}, {0, 2, 1}, {1, 0, 2}, {2, 1, 0}};
   for (int z = 0; z < cells.z; ++z) {
     for (int y = 0; y < cells.y; ++y) {
@@ -87,7 +89,7 @@ inline BoxMesh box_mesh(BoxCells cells, float length = 4.5f) {
   return mesh;
 }
 
-// surface: of the mesh whose outside is drawn; cars with the same one are levels of one car.
+// surface: the mesh whose outside is drawn. Cars with the same surface mesh are levels of one car.
 inline std::vector<std::byte> box_car_bytes(BoxCells cells, float mass, float length, BoxCells surface) {
   const BoxMesh mesh = box_mesh(cells, length), drawn = box_mesh(surface, length);
   const Constraints constraints = build_constraints(mesh.tets);

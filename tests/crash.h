@@ -1,4 +1,4 @@
-// The box car of the tests among obstacles, tick by tick.
+// Simulates the box car of the tests among obstacles, tick by tick.
 #pragma once
 
 #include <cmath>
@@ -21,7 +21,7 @@ struct Crash {
   Motion motion;
   std::vector<Obstacle> obstacles;
   ScratchHandle scratch = make_scratch();
-  StepResult total;  // impulses added up
+  StepResult total;  // with the sums of the impulses
   double front = 0;
 
   Crash() {
@@ -57,7 +57,7 @@ struct Crash {
     for (size_t i = 0; i < body.node.size(); ++i) most = std::max(most, double((model.node[i] - body.node[i]).x()));
     return most;
   }
-  float farthest() const {  // of the nodes from rest, m
+  float farthest() const {  // largest distance of a node from rest, m
     float most = 0;
     for (size_t i = 0; i < body.node.size(); ++i) most = std::max(most, (body.node[i] - model.node[i]).norm());
     return most;

@@ -1,5 +1,4 @@
-// A host for tests: the messages that hosts send, written with the schema's own code; and a viewer, which is the client
-// library's.
+// Messages of a host for tests, written with the generated code of the schema; and a viewer on the client library.
 #pragma once
 
 #include <gtest/gtest.h>

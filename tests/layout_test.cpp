@@ -1,5 +1,5 @@
-// The rules of the house that a compiler does not keep: who may include whom, what the tick may not know, where files may lie,
-// and what documents say of files.
+// Checks rules that the compiler does not: which folder may include which, what the tick may not use, where files may be, and
+// that files named in documents exist.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -31,11 +31,11 @@ std::vector<Source> sources(const std::string& folder, const std::set<std::strin
   return found;
 }
 
-// The folder that a path or a quoted include begins with.
+// Returns the first folder of a path or a quoted include.
 std::string folder_of(const std::string& path) { return path.substr(0, path.find('/')); }
 
-// Folder -> those whose headers its sources may include. The include roots of CMake (show_folder) keep most of it: what a
-// target does not name does not compile. This keeps the rest, and is where to look it up.
+// Folder -> the folders whose headers its sources may include. The include roots of CMake (show_folder) enforce most of this
+// map, because an include of any other target does not compile. This test enforces the rest.
 const std::map<std::string, std::set<std::string>> may_include = {
     {"io", {"io"}},
     {"sim", {"sim"}},
@@ -70,13 +70,13 @@ TEST(Layout, EachFolderIncludesOnlyThoseItMay) {
   EXPECT_GT(checked, 250);
 }
 
-// "A includes B includes A", or "" where what each includes leads nowhere back to it.
+// Returns a circle such as "A includes B includes A", or "" if there is none.
 std::string circle_in(std::map<std::string, std::set<std::string>> includes) {
   const auto left = [&includes](const std::string& name) { return includes.contains(name); };
   while (std::erase_if(includes, [&](const auto& each) { return std::ranges::none_of(each.second, left); }) > 0) {
   }
   if (includes.empty()) return "";
-  // Everything that is left includes something that is left: a way along these comes round.
+  // Everything that is left includes something that is left, so a path along these includes must return to itself.
   std::vector<std::string> way;
   for (std::string at = includes.begin()->first; std::ranges::count(way, at) < 2;
        at = *std::ranges::find_if(includes[at], left))
@@ -93,7 +93,7 @@ TEST(Layout, NoFolderIncludesItselfByWayOfOthers) {
   EXPECT_EQ(circle_in(others), "");
 }
 
-// The modules of the web client that each of them imports, types too.
+// Each module of the web client with the modules that it imports, including imports of types only.
 std::map<std::string, std::set<std::string>> web_imports() {
   const std::regex import("(?:from|import)[\\s(]*[\"'](\\.[^\"']+)\\.js[\"']");
   std::map<std::string, std::set<std::string>> imports;
@@ -129,7 +129,7 @@ TEST(Layout, ClientsKnowNothingOfTheServerButProtocolViewerAndIo) {
     for (std::sregex_iterator i(source.text.begin(), source.text.end(), include), end; i != end; ++i, ++checked) {
       const std::string name = (*i)[1];
       const bool beside = name.find('/') == std::string::npos;
-      if (beside && name.ends_with(".generated.h")) continue;  // Unreal makes it
+      if (beside && name.ends_with(".generated.h")) continue;  // Unreal generates it
       EXPECT_TRUE(beside ? fs::exists((root / source.name).parent_path() / name)
                          : may_include.at("cpp").contains(folder_of(name)))
           << source.name << " includes " << name;
@@ -138,7 +138,7 @@ TEST(Layout, ClientsKnowNothingOfTheServerButProtocolViewerAndIo) {
   EXPECT_GT(checked, 20);
 }
 
-// team. decides who does a piece of work, never what it comes to; Watch in state.h takes a clock that the caller gives.
+// team.* decides which thread does a piece of work, but never its result. Watch in state.h takes a clock from the caller.
 TEST(Layout, TheTickKnowsNoClockThreadFileSocketOrRandomNumber) {
   const std::regex forbidden(
       "#include <(chrono|thread|mutex|atomic|fstream|iostream|filesystem|random|ctime|future|unistd.h|fcntl.h|sys/[^>]*|"
@@ -155,7 +155,7 @@ TEST(Layout, TheTickKnowsNoClockThreadFileSocketOrRandomNumber) {
   EXPECT_GT(checked, 70);
 }
 
-// Its user says what time it is, so a test can.
+// The caller gives the time, so a test can choose it.
 TEST(Layout, TheViewerReadsNoClock) {
   const std::regex forbidden("\\bnow\\(\\)|\\bsleep_|#include \"io/");
   int checked = 0;
@@ -179,7 +179,7 @@ TEST(Layout, NothingBreaksThePromiseOfTheSameBits) {
   EXPECT_EQ(text.find("fast-math"), std::string::npos);
 }
 
-// "`Suite.Name…`" or "`Suite.*`" in the table of bounds: of each there is one.
+// Each "`Suite.Name…`" or "`Suite.*`" in the table of bounds must match a test.
 TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
   std::set<std::string> tests;
   const std::regex test("TEST(?:_F|_P)?\\((\\w+), (\\w+)\\)");
@@ -198,7 +198,7 @@ TEST(Layout, TheTestsThatTheTableOfBoundsNamesAreThere) {
   EXPECT_GT(checked, 25);
 }
 
-// A file in Markdown without what its fences enclose: code links nowhere and has no headings.
+// A Markdown file without its fenced code, which has no links and no headings.
 struct Document {
   fs::path path;
   std::vector<std::string> lines;
@@ -227,8 +227,8 @@ std::vector<Document> documents() {
   return found;
 }
 
-// The anchors of its headings, as GitHub makes them: small letters, no punctuation, a hyphen for a blank, -1 for the second
-// one.
+// Returns the anchors of a document's headings as GitHub makes them: lower case, no punctuation, hyphens for blanks, and -1 for
+// the second heading with the same text.
 std::set<std::string> anchors(const Document& document) {
   std::set<std::string> found;
   std::map<std::string, int> times;
@@ -248,12 +248,13 @@ std::set<std::string> anchors(const Document& document) {
 }
 
 TEST(Layout, TheReadmeIsAFrontPage) {
-  constexpr int most_lines = 150, most_columns = 120;  // what a reader takes in before going on
+  constexpr int most_lines = 150, most_columns = 120;  // as much as a newcomer reads at once
   std::ifstream file(root / "README.md");
   int lines = 0;
   for (std::string line; std::getline(file, line);) {
     ++lines;
-    const auto columns = std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xc0) != 0x80; });  // of UTF-8
+    const auto columns =
+        std::count_if(line.begin(), line.end(), [](char c) { return (c & 0xc0) != 0x80; });  // characters of UTF-8
     EXPECT_LE(columns, most_columns) << "README.md:" << lines;
   }
   EXPECT_GT(lines, 0);
@@ -282,7 +283,8 @@ TEST(Layout, EveryLinkOfADocumentLeadsToAPlaceThatIsThere) {
   EXPECT_GT(checked, 25);
 }
 
-// "`server/setup ...`" or "`clients/scenes/`": from the root. What a build makes is looked for by manual_test.py.
+// Names such as "`server/setup ...`" or "`clients/scenes/`" are relative to the root. manual_test.py checks files that a build
+// makes.
 TEST(Layout, EveryFileThatADocumentNamesIsThere) {
   const std::regex named("`((?:bench|clients|recordings|schema|server|tests)/[\\w/.]*)");
   int checked = 0;

@@ -1,9 +1,9 @@
-"""Runs every command and every later block of code of a manual in its order, as somebody would who copies them, in a folder of its
-own.
+"""Runs every command of a manual, and every block of code except the first, in their order, like a reader who copies them. They
+run in a separate folder.
 
     python tests/manual_test.py build MANUAL      for example: README.md, clients/python/README.md
 
-Provides what the commands need and no command makes: a surface, a recording that was cut off, a router.
+The test provides files that the commands need and do not make: a surface, a truncated recording, a router.
 """
 
 import os
@@ -26,10 +26,10 @@ MANUAL = sys.argv[2]
 TEXT = (ROOT / MANUAL).read_text()
 PATIENCE = 300  # s
 crash = ["deepest dent [1-9][0-9][0-9] mm", "hash [0-9a-f]{16}", "[1-9][0-9]+ kJ absorbed"]
-# How many commands there are at least, what is said, and which files are made.
+# For each manual: the least number of commands, patterns of the output, and the files that its commands make.
 has, says, makes = {
     "README.md": (4, ["0[.][1-9] m deep, -?[0-9] m/s left"], []),
-    "bench/README.md": (0, [], []),  # what takes too long for a test
+    "bench/README.md": (0, [], []),  # its commands take too long for a test
     "recordings/README.md": (2, ["scene main  189 ticks", "m130_wall.mcap: every tick identical"], []),
     "server/README.md": (
         20, ["every tick identical"], ["car-1000.car", "car-5000.car", "whole.mcap", "today/reactions.csv", "server.toml"]),
@@ -40,7 +40,7 @@ has, says, makes = {
 }[MANUAL]
 programs = (r"(?:build/)?crumple|build/tests/crumple_\w+|openssl|zenohd|echo|server/setup|build/venv/bin/python|build/clients/examples/\w+|g\+\+|mcs|\./viewer|"
             r"LD_LIBRARY_PATH=\S+")
-viewer = re.compile(r"^\./viewer |mono Watch\.exe ")  # ends by itself when its car goes
+viewer = re.compile(r"^\./viewer |mono Watch\.exe ")  # ends by itself when its car is gone
 stays = re.compile(rf"crumple (serve(?!.*--(print|check)-config)|watch|view|replay .*--publish)\b|{viewer.pattern}")
 joins = re.compile(rf"crumple (watch|drive|view$|serve .*--standby)|examples/host |bin/python|mono host\.exe|{viewer.pattern}")
 instead = {"CAR": "car.car", "m130.car": "car.car"}
@@ -66,7 +66,7 @@ def end_all():
             process.send_signal(signal.SIGINT)
         text, _ = process.communicate(timeout=PATIENCE)
         tell(text)
-        alone = "is such a car spawned?" in text  # nobody drives in that scene
+        alone = "is such a car spawned?" in text  # no host drives in that scene
         need(process.returncode == 0 or alone, f"`{command}` ended with {process.returncode}:\n{text}")
 
 
@@ -94,7 +94,7 @@ def run(command):
 
 
 def run_host(command):
-    """Again for a viewer that began too late to see its car."""
+    """Runs a host, and runs it again if a viewer started too late to see its car."""
     for _ in range(5):
         run(command)
         try:
@@ -108,19 +108,19 @@ def run_host(command):
 
 
 def run_code(language, code):
-    """A block behind the first, which its manual has a file for."""
+    """Runs a block of code after the first one, which exists as a file."""
     if language == "python":
         before = len(said)
         run(f"build/venv/bin/python -c {shlex.quote(code)}")
         for printed in re.findall(r"^ *print\(.*\)  # (.*)$", code, re.M):
             need(printed in said[before:], f"what its code prints is not {printed}")
-    else:  # the lines of a C# program that matter
+    else:  # the essential lines of a C# program
         frame = "using System;using System.IO;using Crumple;static class Host{static void Main(){double time=0;\n%s}}\n"
         (folder / "host.cs").write_text(frame % code)
         run("mcs -warnaserror -out:host.exe host.cs clients/unity/Crumple.cs && LD_LIBRARY_PATH=build/clients mono host.exe")
 
 
-# A command is an indented line; what it does stands behind at least two blanks.
+# A command is an indented line. Its description follows after at least two blanks.
 found = re.findall(rf"^```(\w+)\n(.*?)^```|^    ((?:{programs}) [^\n]*?)(?:  [^\n]*)?$", TEXT, re.M | re.S)
 need(len(found) >= has, f"has only {len(found)} commands and blocks of code")
 folder = pathlib.Path(tempfile.mkdtemp(prefix="crumple_manual_"))
@@ -146,10 +146,10 @@ try:
                     run_code(language, code)
                 continue
             if command.startswith("zenohd"):
-                continue  # the router above, which is the same code
-            if command.startswith("server/setup"):  # has run, or there was no test; are there such targets?
+                continue  # the router above replaces it, and is the same code
+            if command.startswith("server/setup"):  # setup has already run; check only that these targets exist
                 command = f"ninja -C build -t query{command.removeprefix('server/setup')} >targets"
-            if command.endswith("bake built-in -o car.car"):  # takes seconds: as BuiltIn.IsBaked did it, with --nodes 1000
+            if command.endswith("bake built-in -o car.car"):  # takes long, so use the car of BuiltIn.IsBaked with --nodes 1000
                 command = "cp build/tests/built_in.car car.car"
             if "killed.mcap" in command:
                 whole = (folder / "today.mcap").read_bytes()
@@ -169,6 +169,6 @@ finally:
         process.kill()
     shutil.rmtree(folder, ignore_errors=True)
 
-# What takes too long for a test is at least there; so is every file of ours, says layout_test.cpp.
+# Programs that take too long for a test must at least exist. layout_test.cpp checks all other files.
 for name in re.findall(r"`build/((?:bench/|tests/)crumple_\w+|clients/[\w/.]+)", TEXT):
     need((BUILD / name).exists(), f"names build/{name}, which is not built")

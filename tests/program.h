@@ -1,5 +1,5 @@
-// The program as a user runs it, for tests: server and verbs as processes, hosts and viewers through the client library, real
-// zenoh on loopback. Waits for messages, never for time; a deadline ends a wait that would not end.
+// Runs the program for tests as a user does: server and verbs as processes, hosts and viewers through the client library, real
+// Zenoh on loopback. Tests wait for messages, never for a fixed time. A deadline ends each wait.
 #pragma once
 
 #include <crumple_client.h>
@@ -21,7 +21,7 @@ namespace crumple {
 using Clock = std::chrono::steady_clock;
 inline constexpr std::chrono::seconds patience{90};  // for a machine under load with sanitizers on
 
-// A child whose standard output and error are read here.
+// A child process whose standard output and error the test reads.
 class Process {
  public:
   explicit Process(std::vector<std::string> arguments) {
@@ -53,7 +53,7 @@ class Process {
   Process(const Process&) = delete;
   Process& operator=(const Process&) = delete;
 
-  // Reads until the text is there; false when the output ended or the deadline passed first.
+  // Reads until the text has come. Returns false if the output ended or the deadline passed first.
   bool read_until(const std::string& wanted) {
     const auto deadline = Clock::now() + patience;
     while (text.find(wanted) == std::string::npos) {
@@ -69,7 +69,7 @@ class Process {
   }
   void send(int signal) const { kill(child_, signal); }
   pid_t id() const { return child_; }
-  // Exit code, or minus the signal that ended it.
+  // Returns the exit code, or minus the signal that ended the process.
   int wait() {
     read_until(std::string(1, '\0'));  // to the end of its output
     int status = 0;
@@ -142,7 +142,7 @@ class Program : public testing::Test {
     return session;
   }
 
-  // Polls the session until the condition holds; false at the deadline.
+  // Polls the session until the condition holds. Returns false at the deadline.
   static bool until(Crumple* session, const std::function<bool()>& condition) {
     const auto deadline = Clock::now() + patience;
     while (!condition()) {
@@ -167,7 +167,7 @@ class Program : public testing::Test {
     EXPECT_TRUE(got.ok) << got.sentence;
   }
 
-  // A wall 0.3 m before the car's nose, the car at 10 m/s; until it has bounced off and nothing is told of it any more.
+  // Drives the car at 10 m/s into a wall 0.3 m before its nose, until it has bounced off and gets no more reactions.
   void crash(Crumple* session) {
     CrumpleObstacle wall{};
     wall.shape = CRUMPLE_BOX;

@@ -1,4 +1,4 @@
-// What tests of refusals share: the sentence that a function throws, and files to refuse.
+// Shared by tests of refusals: the sentence that a function throws, and files that must be refused.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -12,7 +12,7 @@
 
 namespace crumple {
 
-// What a function refuses with; empty when it does not.
+// Returns the sentence of a refusal; empty if the function does not refuse.
 template <class Function>
 std::string refusal(Function function) {
   try {
@@ -25,7 +25,7 @@ std::string refusal(Function function) {
 
 inline bool contains(const std::string& text, const std::string& part) { return text.find(part) != std::string::npos; }
 
-// Names the file, and is one line that ends as a sentence does.
+// The sentence must name the file, be one line, and end like a sentence.
 inline void expect_sentence(const std::string& text, const std::string& file, const std::string& fact) {
   EXPECT_TRUE(contains(text, file)) << text;
   EXPECT_TRUE(contains(text, fact)) << text;

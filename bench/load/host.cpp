@@ -1,5 +1,5 @@
-// A host of the load: crashing cars start 10 m before a wall of their own, all at the same time, and again after each period;
-// the others drive along free lanes, or stand where they were spawned.
+// A host of the load harness. Each crashing car starts 10 m before its own wall, all at the same time, and again in each
+// period. The other cars drive along free lanes, or stand at their place of spawn.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -18,10 +18,10 @@ constexpr double rate = 60;    // poses a second
 constexpr double lane = 8;     // m between cars
 constexpr double run_up = 10;  // m from the start to the wall
 constexpr double repair_at = 0.1,
-                 go_at = 0.25;          // s of a period: first the car is at its start, then it is mended, then it goes
+                 go_at = 0.25;          // s into a period: the car is put at its start, then repaired, then it goes
 constexpr double braking = 7;           // m/s^2
-constexpr double turn_back = 500;       // m that a driving car goes before it starts anew
-constexpr size_t orders_at_once = 100;  // their answers are kept for the last 256
+constexpr double turn_back = 500;       // m: a driving car then goes back to its start
+constexpr size_t orders_at_once = 100;  // fewer than the 256 answers that a session keeps
 
 struct Moving {
   std::string id;
@@ -35,12 +35,12 @@ struct Moving {
 struct Host {
   const HostTask& task;
   client::Session session;
-  std::vector<Moving> cars;  // those that move
+  std::vector<Moving> cars;  // the moving cars
   std::map<std::string, size_t> at;
-  uint64_t tick = 0;  // the newest known
+  uint64_t tick = 0;  // the newest known tick
 };
 
-// Crashing cars on one side of the origin, driving ones on the other, sleeping ones behind.
+// Places crashing cars on one side of the origin, driving cars on the other, and sleeping cars behind.
 CrumplePose start_of(char kind, uint32_t number) {
   const double y = lane * number;
   return {{kind == 'a' ? -100.0 : 0.0, kind == 'd' ? -lane - y : y, 0}, {0, 0, 0, 1}};
@@ -110,7 +110,7 @@ void take_reactions(Host& host) {
   }
 }
 
-// One host tick of one car. time: s since the last start.
+// Makes one host tick of one car. time: s since its last start.
 void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& car) {
   const double step = 1 / rate;
   if (!car.crashes) {

@@ -1,4 +1,4 @@
-// crumple_load: one run of the load harness. bench/load/run plays the scenarios that stand beside it and makes the page.
+// crumple_load makes one run of the load harness. bench/load/run plays the scenarios in its folder and makes the page.
 #include <signal.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -22,11 +22,11 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr double calm = 3;       // s from the last pose until all is compared: a crash rings for one
-constexpr double calm_far = 10;  // the same over impaired links: a lost connection is noticed after 3 s and made anew in 3 s
+constexpr double calm = 3;       // s from the last pose until the comparison: a crash rings for one second
+constexpr double calm_far = 10;  // s, on impaired links: detecting a lost connection takes 3 s, and reconnecting 3 s
 constexpr double frozen = 3;     // s
 constexpr const char* datagrams = "?rel=1";
-constexpr double start_patience = 120;  // s for the server to start and take all cars
+constexpr double start_patience = 120;  // s for the server to start and spawn all cars
 
 std::atomic<bool> interrupted{false};
 
@@ -49,12 +49,12 @@ struct Process {
     execv(arguments[0], arguments.data());
     _exit(127);
   }
-  // Asks it to end and gives its exit code; negative if it was killed.
+  // Asks the process to end and returns its exit code; negative if a signal killed it.
   int end(int signal) {
     int status = 0;
     if (id <= 0) return 0;
     kill(id, signal);
-    kill(id, SIGCONT);  // it may be frozen
+    kill(id, SIGCONT);  // in case it is frozen
     waitpid(std::exchange(id, 0), &status, 0);
     return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
   }
@@ -71,7 +71,7 @@ std::string text_of(const std::string& file) {
   return text.str();
 }
 
-// utime + stime of a process or thread, s: fields 14 and 15 after the name, which may hold spaces.
+// Returns utime + stime of a process or thread, s: fields 14 and 15. The name before them may contain spaces.
 double cpu_of(const std::string& folder) {
   const std::string text = text_of(folder + "/stat");
   std::istringstream rest(text.substr(std::min(text.size(), text.rfind(')') + 1)));
@@ -103,7 +103,7 @@ void sleep_until(Clock::time_point when) {
     std::this_thread::sleep_for(std::min<Clock::duration>(when - Clock::now(), std::chrono::milliseconds(50)));
 }
 
-// The server's endpoints, comma separated: by TCP, and by UDP if that is wanted.
+// The server's endpoints, comma separated: TCP, and UDP if requested.
 std::string start_server(const Options& options, const std::string& recording, Process& server) {
   std::vector<std::string> words = {options.program,   "serve",    "--scene", scene,  "--listen",
                                     "tcp/127.0.0.1:0", "--record", recording, "--car"};
@@ -124,7 +124,7 @@ std::string start_server(const Options& options, const std::string& recording, P
   throw std::runtime_error("load: the server did not say where it listens; see " + log);
 }
 
-// All that a run needs at hand; hosts are stopped and joined whatever happens.
+// Everything that a run needs. The destructor stops and joins the hosts.
 struct Stage {
   const Options& options;
   Process server;
@@ -194,7 +194,7 @@ void start_viewer(Stage& stage, const std::string& part, uint32_t number) {
   stage.run.viewers.push_back(viewer);
 }
 
-// Splits what the server listens on, and sets the viewers' links up if they are impaired.
+// Separates the server's endpoints, and creates the viewers' impaired links if there are any.
 void open_links(Stage& stage, const std::string& endpoints) {
   const size_t comma = endpoints.find(',');
   stage.endpoint = stage.viewers_endpoint = endpoints.substr(0, comma);
@@ -204,7 +204,7 @@ void open_links(Stage& stage, const std::string& endpoints) {
   stage.viewers_endpoint = stage.link->endpoint() + (stage.options.udp ? datagrams : "");
 }
 
-// Freezes, kills, cuts and late joins, at fixed shares of the time.
+// Freezes, kills, cuts and starts viewers at fixed shares of the time.
 void disturb(Stage& stage, double time) {
   const Options& options = stage.options;
   const auto passed = [&, last = time - 1](double when) { return last < when && when <= time; };
@@ -235,7 +235,7 @@ void disturb(Stage& stage, double time) {
     for (uint32_t k = 0; k < options.late; ++k) start_viewer(stage, "late", options.viewers + k);
 }
 
-// What a viewer gets that comes when all is calm.
+// The surfaces that a viewer gets if it starts after the load.
 void ask_for_truth(Stage& stage, int level) {
   client::Session session({stage.endpoint, scene, "", "", patience});
   std::vector<std::string> cars;
@@ -285,7 +285,7 @@ void watch_over(Stage& stage) {
 
 int play(const Options& options) {
   std::filesystem::create_directories(options.folder);
-  for (const auto& file : std::filesystem::directory_iterator(options.folder))  // of an earlier run
+  for (const auto& file : std::filesystem::directory_iterator(options.folder))  // files of an earlier run
     if (file.path().filename().string().starts_with("viewer")) std::filesystem::remove(file);
   const auto car = load_car(options.cars.front());
   Stage stage(options);
@@ -386,7 +386,7 @@ int run(int argc, char** argv) {
 }  // namespace
 }  // namespace crumple::load
 
-// A viewer process is this program, called by itself: --view FILE --connect ENDPOINT --level LEVEL --follow CAR...
+// This program starts itself as a viewer process: --view FILE --connect ENDPOINT --level LEVEL --follow CAR...
 int main(int argc, char** argv) {
   using namespace crumple::load;
   try {

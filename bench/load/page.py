@@ -1,4 +1,4 @@
-"""The page of bench/load/run: what its runs came to, in tables and pictures.
+"""Writes the page of bench/load/run: the results of its runs in tables and pictures.
 
     page.py FOLDER     reads FOLDER/*/load.json, writes FOLDER/page.md, load.png and knee.png
 """
@@ -21,7 +21,7 @@ PERIOD = 1e3 / 60  # ms
 
 
 def rows(run):
-    """What the table says of one run: label, text."""
+    """Returns the table's entries for one run: label, text."""
     yield "cars: crash at once, drive, sleep", f"{run['crashing']:.0f}, {run['driving']:.0f}, {run['asleep']:.0f}"
     yield "server's options", f"`{run['serve']}`" if run["serve"] else "none"
     yield "ticks, late", f"{run['ticks']:.0f}, {run['late']:.0f}"
@@ -87,7 +87,7 @@ def draw_knees(knees, path):
 
 
 def link_rows(links):
-    """The table of impaired links: its head, then a row a link."""
+    """Returns the table of impaired links: its head, then a row for each link."""
     yield "| link, one way | surface after its tick p50, p99, ms | behind for at most, ms | back after a cut of 2 s, ms | first surface, late one, ms | keyframes asked for | mean Mb/s | packets lost | differ at the end |"
     yield "|---" * 9 + "|"
     for run in links:

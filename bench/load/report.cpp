@@ -1,5 +1,5 @@
-// What a run came to. The server's side is read from its recording, whose messages carry the time at which their tick was done;
-// the viewers' side from what they wrote; both by the clock of one machine.
+// Reports the results of a run. It reads the server's side from the recording, where each message has the time at which its
+// tick was done, and the viewers' side from the files that they wrote. Both sides use the clock of one machine.
 #include <algorithm>
 #include <cstdio>
 #include <fstream>
@@ -16,9 +16,9 @@ namespace crumple::load {
 namespace {
 
 constexpr uint64_t cut_margin_ns = 3'000'000'000;
-constexpr double current = 100;  // ms: a surface that was superseded no longer ago is current
+constexpr double current = 100;  // ms: a surface counts as current until it has been superseded for this long
 
-// JSON, one field a line.
+// Writes JSON with one field per line.
 class Json {
  public:
   explicit Json(const std::string& path) : path_(path), file_(path) { file_ << "{"; }
@@ -54,7 +54,7 @@ class Json {
   bool first_ = true;
 };
 
-// Of a sorted list; 0 of an empty one.
+// Quantile of a sorted list; 0 for an empty list.
 double quantile(const std::vector<double>& sorted, double share) {
   if (sorted.empty()) return 0;
   return sorted[std::min(sorted.size() - 1, size_t(share * double(sorted.size())))];
@@ -68,9 +68,9 @@ struct Health {
 };
 
 struct Served {
-  std::map<uint64_t, uint64_t> tick_ns;               // tick -> when it was done
-  std::map<std::string, std::vector<uint64_t>> told;  // car -> ticks in which its surface was sent, near
-  uint64_t frames[2] = {}, bytes[2] = {};             // of surfaces by their level, during the load
+  std::map<uint64_t, uint64_t> tick_ns;               // tick -> time at which it was done
+  std::map<std::string, std::vector<uint64_t>> told;  // car -> ticks in which its near surface was sent
+  uint64_t frames[2] = {}, bytes[2] = {};             // surfaces and their bytes by level, during the load
   std::vector<Health> health;                         // during the load
   size_t vertices = 0;
   uint64_t late_before = 0;
@@ -145,7 +145,7 @@ Seen read_viewer(const std::string& path) {
   return out;
 }
 
-// For each surface that a viewer came to show: since when it was superseded, ms; 0: it was the newest.
+// For each surface that a viewer showed: how long it had been superseded, ms; 0: it was the newest.
 std::vector<std::pair<uint64_t, double>> superseded(const Seen& viewer, const Served& served, uint64_t from, uint64_t to) {
   std::vector<std::pair<uint64_t, double>> out;  // when, how long
   for (const auto& [car, list] : viewer.held) {
@@ -162,7 +162,8 @@ std::vector<std::pair<uint64_t, double>> superseded(const Seen& viewer, const Se
   return out;
 }
 
-// From the end of a tick that changed a car until the viewer holds that, or something newer. missing: never.
+// The times from the end of a tick that changed a car until the viewer held this surface or a newer one. missing: counts
+// surfaces that never came.
 void latencies(const Seen& viewer, const ViewerRun& run, const Served& served, uint64_t from, uint64_t to,
                std::vector<double>& out, uint64_t& missing) {
   for (const std::string& car : run.cars) {
@@ -184,7 +185,7 @@ void latencies(const Seen& viewer, const ViewerRun& run, const Served& served, u
   }
 }
 
-// From the return of the link until the viewer holds, of each car, what was told last before it.
+// The time from the return of the link until the viewer holds, for each car, the last surface that was sent before.
 double back_after(const Seen& viewer, const ViewerRun& run, const Served& served, uint64_t back_ns) {
   double worst = 0;
   for (const std::string& car : run.cars) {
@@ -202,10 +203,10 @@ double back_after(const Seen& viewer, const ViewerRun& run, const Served& served
   return worst;
 }
 
-// Least squares, bytes a second.
+// Slope by least squares, bytes per second.
 double slope(const std::vector<Sample>& samples) {
   double n = 0, x = 0, y = 0, xx = 0, xy = 0;
-  for (size_t i = samples.size() / 4; i < samples.size(); ++i) {  // the first quarter warms up
+  for (size_t i = samples.size() / 4; i < samples.size(); ++i) {  // without the first quarter, which warms up
     const double t = 1e-9 * double(samples[i].ns - samples.front().ns), m = double(samples[i].memory);
     n += 1, x += t, y += m, xx += t * t, xy += t * m;
   }
@@ -214,13 +215,14 @@ double slope(const std::vector<Sample>& samples) {
 }
 
 struct Viewers {
-  std::vector<double> latency;  // of steady ones, ms, sorted
+  std::vector<double> latency;  // of steady viewers, ms, sorted
   uint64_t missing = 0, diverged = 0, compared = 0;
-  double mean_mbits[2] = {}, worst_mbits[2] = {};  // by surface level, of the busiest steady viewer: over the load, in a second
-  double open_ms = 0, late_ms = 0;                 // worst
-  double back_ms = 0;                              // worst, from the return of a link that was cut until all it missed is there
-  uint64_t asked = 0;                              // keyframes
-  double stale_ms = 0, thaw_ms = 0;  // of frozen ones, worst: the age of what was shown, and the time until it was current
+  double mean_mbits[2] = {},
+         worst_mbits[2] = {};        // by surface level: rate of the busiest steady viewer, mean and in its busiest second
+  double open_ms = 0, late_ms = 0;   // worst
+  double back_ms = 0;                // worst time from the return of a cut link until all missed surfaces are there
+  uint64_t asked = 0;                // keyframes
+  double stale_ms = 0, thaw_ms = 0;  // worst of frozen viewers: age of the shown surface, time until it was current
 };
 
 Viewers put_together(const Run& run, const Served& served) {
@@ -236,7 +238,7 @@ Viewers put_together(const Run& run, const Served& served) {
     }
     if (viewer.part == "late") out.late_ms = std::max(out.late_ms, seen.open_ms < 0 ? 1e9 : seen.open_ms);
     if (viewer.part == "steady") {
-      // What is made while a link is away, or just before, comes after its return.
+      // Surfaces from the time of a cut, or from just before it, arrive after the link has returned.
       latencies(seen, viewer, served, run.begin_ns, run.cut_ns > 0 ? run.cut_ns - cut_margin_ns : run.end_ns, out.latency,
                 out.missing);
       if (run.back_ns > 0) out.back_ms = std::max(out.back_ms, back_after(seen, viewer, served, run.back_ns));

@@ -1,8 +1,8 @@
 // One run of the peers' scene (scene.py, play.py) in Jolt's native library: soft body of edge and volume constraints, XPBD.
 //   JoltPeer LIBRARY SCENE OUT THREADS ITERATIONS STEPS
 // SCENE is the little-endian file that play.py writes; OUT gets the final node positions as float32. Prints one line of JSON:
-// version, milliseconds to build, milliseconds of every step. What Jolt calls an iteration is a sub-step with one pass over
-// all constraints.
+// version, milliseconds to build, milliseconds of every step. An iteration in Jolt is a sub-step with one pass over all
+// constraints.
 import com.github.stephengold.joltjni.*;
 import com.github.stephengold.joltjni.enumerate.EActivation;
 import java.nio.*;
@@ -70,7 +70,7 @@ public class JoltPeer {
     Vec3 zero = new Vec3(0, 0, 0), push = new Vec3(-speed, 0, 0);
     for (int step = 0; step < steps; ++step) {
       for (int i = 0; i < nodes; ++i)
-        vertices[i].setVelocity(pushed[i] ? push : zero);  // a vertex without mass moves at its velocity
+        vertices[i].setVelocity(pushed[i] ? push : zero);  // a vertex with inverse mass 0 moves at its velocity
       begin = System.nanoTime();
       int errors = system.update(dt, 1, scratch, jobs);
       times.append(step > 0 ? "," : "").append((System.nanoTime() - begin) * 1e-6);
@@ -83,6 +83,6 @@ public class JoltPeer {
     Files.write(Path.of(args[2]), out.array());
     System.out.println("{\"version\":\"" + Jolt.versionString() + "\",\"build_ms\":" + build + ",\"ms\":[" + times + "]}");
     System.out.flush();
-    Runtime.getRuntime().halt(0);  // the library's own end-of-process order is not ours to keep
+    Runtime.getRuntime().halt(0);  // skips the library's own shutdown
   }
 }

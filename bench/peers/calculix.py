@@ -1,33 +1,36 @@
-"""Outside references for permanent deformation: three cases in CalculiX (and the bar in MuJoCo 4), written as small CSVs.
+"""Computes references for permanent deformation: three cases in CalculiX (and the bar in MuJoCo 4), written as small CSVs.
 
-    calculix.py [bar] [block] [tube]     all without a name; needs ccx (Debian: calculix-ccx) in the path
-    calculix.py --meshes FOLDER          the meshes alone, as Medit files: for crumple_outside
+    calculix.py [bar] [block] [tube]     without a name: all cases; needs ccx (Debian: calculix-ccx) in the path
+    calculix.py --meshes FOLDER          only the meshes, as Medit files for crumple_outside
 
-Writes beside itself calculix.csv (one row a figure), calculix_block.csv (the dent along the middle line y = 0.2 of the top,
-x from the middle) and calculix_tube.csv (force over crush). What is done, in metres, nothing else acting:
-  bar    1.0 x 0.2 x 0.2; the end x = 0 keeps its plane, x = 1 is moved by 0.2 along x, both free to thin; released
-  block  0.4 x 0.4 x 0.2 on a base z = 0 that holds; the nodes |x|, |y| <= 0.1 from the middle of its top are pushed down
-         0.04, as by a rigid box, sliding freely across (free) or not (stuck); released
-  tube   0.1 x 0.1 x 0.4, wall 0.02: two cells (5 mm would be a shell, which tets that thick cannot bend); base held, top pushed
-         down 0.05 and kept from moving across; released
-Elements: C3D4 are crumple's very tets (bar 1,600, block 10,240, tube 12,800); C3D10 are the same with nodes amid the edges: the
-finer answer, since linear tets lock when flow conserves volume. Block and tube are solved as a quarter between symmetry planes.
+Writes to its own folder calculix.csv (one row for each figure), calculix_block.csv (the dent along the middle line y = 0.2 of the
+top, x from the middle) and calculix_tube.csv (force over crush). The cases, in metres, with no other forces:
+  bar    1.0 x 0.2 x 0.2. The end x = 0 stays in its plane, the end x = 1 moves by 0.2 along x; both ends may become thinner. Then
+         the bar is released
+  block  0.4 x 0.4 x 0.2 with a fixed base z = 0. The nodes with |x|, |y| <= 0.1 from the middle of the top are pushed down by 0.04,
+         as by a rigid box. They may slide across freely (free) or not (stuck). Then the block is released
+  tube   0.1 x 0.1 x 0.4, wall 0.02, which is two cells thick (a wall of 5 mm would be a shell, and such thick tets cannot bend). The
+         base is fixed, the top is pushed down by 0.05 and cannot move across. Then the tube is released
+Elements: C3D4 are the same tets as crumple's (bar 1,600, block 10,240, tube 12,800). C3D10 have additional nodes on the edges and
+are more accurate, because linear tets lock if flow conserves volume. Block and tube are solved as a quarter between symmetry planes.
 
 Law: von Mises, linear isotropic hardening: Y = E (yield + hardening * kappa), true stress over logarithmic plastic strain. With
 NLGEOM CalculiX splits F = Fe Fp, the elastic part is neo-Hookean and the deviator of the Kirchhoff stress returns radially
-(Simo and Hughes 1998, chapter 9). Compared are places and forces, never strains: CalculiX prints Green's, crumple has Hencky's.
-crumple_outside plays the same on the same tets; bench/outside.py compares, against C3D10. A crushable foam (crumple: |tau| = Y,
-plastic Poisson ratio 0; the elastic one may be set up to 0.45, the plastic one not, so it comes no nearer to J2)
-  bar    must agree: its stress has one axis, there kappa is the axial logarithmic plastic strain in both, and force times
-         stretch is the axial stress however much the bar thins. Two differences are left: crumple's stable neo-Hookean law is
-         stiffer in tension (server/reference/bar.h; 1.7 % more set at yield 0.03), and its Y is a Kirchhoff stress where here it seems to
-         be Cauchy's (2 % of force at yield 0.009, 4 % at 0.03: the elastic change of volume)
-  tube   nearly: its walls carry one axis. Measured, converged: force within 1 %, set within 2 %
-  block  cannot but in the depth that stays, which is the travel less an elastic rebound: von Mises moves the volume aside and
-         the confinement raises the force, foam compacts in place. Measured: depth 5 to 8 % more, force 14 % less (free) to
-         4 % more (stuck), the profile of the dent 6 to 9 % of its depth apart, rms
-ccx as Debian builds it yields by no pressure-dependent surface (no crushable foam, Drucker-Prager or Mohr-Coulomb), and a
-*USER MATERIAL must be compiled into it.
+(Simo and Hughes 1998, chapter 9). Only places and forces are compared, never strains: CalculiX prints Green's strains, and crumple
+has Hencky's. crumple_outside plays the same cases on the same tets, and bench/outside.py compares its results with C3D10. crumple's
+material is a crushable foam (|tau| = Y, plastic Poisson ratio 0). Its elastic Poisson ratio may be up to 0.45, but the plastic one
+is fixed, so the foam cannot come nearer to J2.
+  bar    must agree. Its stress has one axis, so kappa is the axial logarithmic plastic strain in both, and force times stretch is
+         the axial stress, however thin the bar becomes. Two differences remain: crumple's stable neo-Hookean law is stiffer in
+         tension (server/reference/bar.h; 1.7 % more residual elongation at yield 0.03); and crumple's Y is a Kirchhoff stress,
+         while CalculiX's seems to be Cauchy's (2 % of the force at yield 0.009, 4 % at 0.03: the elastic change of volume)
+  tube   must nearly agree, because the stress in its walls has one axis. Measured after convergence: force within 1 %, residual
+         crush within 2 %
+  block  can agree only in the residual depth, which is the travel minus an elastic rebound. A von Mises material moves its volume
+         aside, and the confinement raises the force; foam compacts in place. Measured: depth 5 to 8 % larger, force 14 % smaller
+         (free) to 4 % larger (stuck), rms distance of the profiles 6 to 9 % of the depth
+Debian's ccx has no pressure-dependent yield surface (no crushable foam, Drucker-Prager or Mohr-Coulomb), and a *USER MATERIAL must be
+compiled into it.
 """
 
 import contextlib
@@ -45,11 +48,11 @@ import numpy as np
 import scene
 
 here = pathlib.Path(__file__).resolve().parent
-young, hardening = 15e6, 0.045  # Pa; crumple's defaults, as is the yield of 0.009
+young, hardening = 15e6, 0.045  # Pa; crumple's defaults, like the yield of 0.009
 
 
 class Case:
-    """A mesh and what is done to it: `held` (node, first axis, last axis) always, `moved` (node, axis, m) only in step 1."""
+    """A mesh with its boundary conditions: `held` (node, first axis, last axis) always, `moved` (node, axis, m) only in step 1."""
 
     def __init__(self, name, cells, size, keep=None, planes=()):
         node, tet = scene.grid_tets(cells, size)
@@ -62,7 +65,7 @@ class Case:
         self.planes, self.size = planes, size
 
     def elements(self, kind):
-        """Nodes, elements: with mid-edge nodes if kind is C3D10."""
+        """Returns nodes and elements, with mid-edge nodes if kind is C3D10."""
         if kind == "C3D4":
             return self.part_node, self.part_tet
         pairs = self.part_tet[:, [0, 1, 1, 2, 2, 0, 0, 3, 1, 3, 2, 3]].reshape(-1, 2)
@@ -90,10 +93,10 @@ def tube():
 
 
 def conditions(case, node, sides):
-    """held, moved, watched nodes. sides: whether the moved nodes may slide across (free) or not (stuck)."""
+    """Returns held, moved and watched nodes. sides: the moved nodes may slide across (free) or not (stuck)."""
     near = lambda axis, value: np.abs(node[:, axis] - value) < 1e-9
     held = [(i, axis + 1, axis + 1) for axis in case.planes for i in np.flatnonzero(near(axis, case.size[axis] / 2))]
-    if case.name == "bar":  # one end keeps its plane, both are free to thin
+    if case.name == "bar":  # one end stays in its plane, both may become thinner
         held += [(i, 1, 1) for i in np.flatnonzero(near(0, 0))]
         corner = np.flatnonzero(near(0, 0) & near(1, 0) & near(2, 0))[0]
         other = np.flatnonzero(near(0, 0) & near(1, 0.2) & near(2, 0))[0]
@@ -116,7 +119,7 @@ def conditions(case, node, sides):
 
 
 def deck(case, reaction, kind, nu, yield_strain, slope, sides):
-    """Without reaction: step 1 only. With it (node, axis, N): released in step 2 by letting that force fade."""
+    """Without `reaction`: only step 1. With it (node, axis, N): step 2 releases the case by reducing this force to 0."""
     node, element = case.elements(kind)
     held, moved, line = conditions(case, node, sides)
     rows = lambda table: "\n".join(", ".join(str(v) for v in row) for row in table)
@@ -166,7 +169,7 @@ def deck(case, reaction, kind, nu, yield_strain, slope, sides):
 
 
 def ccx(case, *options):
-    """The tables that ccx prints: [(title, time, rows of numbers)]; None where it gave up."""
+    """Returns the tables that ccx prints: [(title, time, rows of numbers)]; None if it gave up."""
     with tempfile.TemporaryDirectory() as folder:
         name = pathlib.Path(folder) / case.name
         name.with_suffix(".inp").write_text(deck(case, *options))
@@ -180,7 +183,7 @@ def ccx(case, *options):
 
 
 def solve(case, *options):
-    """{node: displacement} of the watched nodes, pushed and released; [(time, force along the push)]. None: ccx gave up."""
+    """Returns {node: displacement} of the watched nodes, pushed and released; [(time, force along the push)]. None if ccx gave up."""
     first = ccx(case, None, *options)
     if first is None:
         return None
@@ -197,13 +200,13 @@ def solve(case, *options):
 
 
 def closed_form(yield_strain, slope):
-    """Residual elongation of the bar, pulled by a fifth: logarithmic strain is elastic plus plastic at tau = Y."""
+    """Returns the residual elongation of the bar, pulled by a fifth: the logarithmic strain is elastic plus plastic at tau = Y."""
     plastic = (math.log(1.2) - yield_strain) / (1 + slope)
     return math.expm1(plastic)
 
 
 def mujoco_bar(yield_strain):
-    """Ideal J2, MuJoCo's only one (yield: a von Mises strain): pulled in 1 s, held 0.2 s, released with drag for 1.5 s."""
+    """Ideal J2, MuJoCo's only plasticity (yield: a von Mises strain): pulled in 1 s, held for 0.2 s, released with drag for 1.5 s."""
     import mujoco as mj
 
     case = bar()
@@ -218,7 +221,7 @@ def mujoco_bar(yield_strain):
         vertex="{text(0 * case.node)}" element="{' '.join(map(str, case.tet.ravel()))}">
         <contact selfcollide="none" contype="0" conaffinity="0"/>
         <elasticity young="1e6" poisson="0" damping="0.002" yield="{yield_strain}"/></flex></deformable></mujoco>"""
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # it logs into the working folder
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # MuJoCo logs into the working folder
         model = mj.MjModel.from_xml_string(xml)
     data = mj.MjData(model)
     drive = np.array([model.jnt_qposadr[model.body_jntadr[model.body("n%d" % i).id]] for i in np.flatnonzero(last)])
@@ -232,7 +235,7 @@ def mujoco_bar(yield_strain):
 
 
 def write_mesh(case, folder):
-    """The tets as a Medit file."""
+    """Writes the tets as a Medit file."""
     node, rows = case.node, lambda table: "\n".join(" ".join(f"{v:.9g}" for v in row) for row in table)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{case.name}.mesh").write_text(
@@ -247,11 +250,11 @@ def write(name, rows):
 
 
 def runs(name):
-    """(element, nu, yield, hardening, sides) of each run of a case."""
+    """Returns (element, nu, yield, hardening, sides) of each run of a case."""
     sides = {"bar": ["free"], "block": ["free", "stuck"], "tube": ["stuck"]}[name]
     table = [(kind, 0.0, y, hardening, side) for y in (0.009, 0.03) for side in sides for kind in ("C3D4", "C3D10")]
     if name == "bar":
-        table += [("C3D10", 0.3, 0.009, hardening, "free"), ("C3D10", 0.0, 0.02, 0.0, "free")]  # the last is ideal, as MuJoCo
+        table += [("C3D10", 0.3, 0.009, hardening, "free"), ("C3D10", 0.0, 0.02, 0.0, "free")]  # the last run is ideal, like MuJoCo
     return table
 
 
@@ -270,7 +273,7 @@ def main(names):
                 summary.append(row + ["", "", "", "no convergence"])
                 continue
             (pushed, released), force = found
-            whole = 4 if case.planes else 1  # of the quarter
+            whole = 4 if case.planes else 1  # because a quarter is solved
             force = [(time, abs(whole * f)) for time, f in force]
             if name == "bar":
                 summary.append(row + ["residual elongation", float(np.mean([u[0] for u in released.values()])), "m",

@@ -1,16 +1,16 @@
-"""Times the peers and ourselves, and finds how far each is from its own converged answer: peers.csv, peers_convergence.csv.
+"""Measures the times of the peers and ours, and each one's distance from its own converged result: peers.csv, peers_convergence.csv.
 
     peers.py [--quick] FOLDER CAR
 
-FOLDER takes the two files. Every figure comes from playing scene.py's scene in a process of its own (play.py), one at a time,
-and those that are compared take turns, so that all of them see the same machine. The time of a play is that of a step, the
-mean over all but the first, which also touches memory and fills caches; best and median are of several plays.
-  peers.csv              what one iteration costs on a grid of 234,960 tets: the time of a step with three times as many
-                         iterations, less that with `iterations_per_step`, over the iterations between
-  peers_convergence.csv  error of each count of iterations against the largest on CAR (a baked car of a few thousand nodes).
-                         answer_moves_percent: what half as many iterations differ from that answer. Rows with more than one
-                         play are the cheapest within 1 %, on one and on two threads.
-A row with `error` in its note has no figures: the peer cannot play it, and the note says why.
+The program writes the two files to FOLDER. For every figure a separate process (play.py) plays the scene of scene.py, one process at
+a time. Peers that are compared run alternately, so that all see the same state of the machine. The time of a play is the mean time
+of a step without the first one, which also touches memory and fills caches. Best and median are over several plays.
+  peers.csv              the time of one iteration on a grid of 234,960 tets: the time of a step with three times as many
+                         iterations, minus the time with `iterations_per_step`, divided by the difference of the iterations
+  peers_convergence.csv  the error of each number of iterations against the largest number, on CAR (a baked car of a few thousand
+                         nodes). answer_moves_percent: the distance of the result with half as many iterations. Rows with more
+                         than one play are the fastest within 1 %, on one and on two threads.
+A row with `error` in its note has no figures, because the peer cannot play it. The note says why.
 """
 
 import csv
@@ -29,11 +29,11 @@ import numpy as np
 import scene as play
 
 springs, cells = "edges+tets", "tets"
-# Peer, model, what one iteration solves once, the count for the converged answer, its unit. Of each peer the models that may be
-# its fastest; measured once on a hull of 2,428 nodes and left out: pyPBD's XPBD of edges and volumes (33 times slower to 1 %
-# than its PBD) and XPBD-FEM (never there), Rapier's corotational and neo-Hookean constraints (17 and 9 times slower than edges
-# and volumes). Jolt stops at 500: at sub-steps of 8 us its float positions near 2 m round the push itself by 1 %; PBD-FEM's
-# answers at 100 to 1,600 iterations lie 0.2 to 0.4 % apart: it does not settle.
+# Peer, model, the constraints that one iteration solves once, the number of iterations for the converged result, its unit. For each
+# peer these are the models that may be its fastest. Left out after one measurement on a hull of 2,428 nodes: pyPBD's XPBD of edges
+# and volumes (33 times slower to 1 % than its PBD) and XPBD-FEM (never within 1 %), Rapier's corotational and neo-Hookean
+# constraints (17 and 9 times slower than edges and volumes). Jolt stops at 500: at sub-steps of 8 us its float positions near 2 m
+# round the push itself by 1 %. PBD-FEM does not settle: its results at 100 to 1,600 iterations are 0.2 to 0.4 % apart.
 peers = [
     ("crumple", "nodal, 1 sub-step", cells, 200, "sweep"),
     ("crumple", "nodal, 2 sub-steps", cells, 200, "sweep"),
@@ -47,7 +47,7 @@ peers = [
 quick_peers = [("crumple", "nodal, 1 sub-step"), ("jolt", "XPBD edge+volume"), ("pypbd", "PBD edge+volume"),
                ("rapier", "edge+volume")]
 counts = [1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40, 50, 70, 100, 200, 500, 1000]
-wanted, enough = 1, 0.2  # % of the largest displacement: to come within, and where a curve may end
+wanted, enough = 1, 0.2  # % of the largest displacement: the wanted error, and the error at which a curve may end
 timeout = 300  # s for one play
 
 
@@ -57,7 +57,7 @@ def machine():
 
 
 def run(scene, peer, model, threads, iterations):
-    """The answer of one play: its JSON and the final positions; or a sentence."""
+    """Plays once. Returns its JSON and the final positions, or a sentence about the error."""
     with tempfile.TemporaryDirectory() as folder:
         source, out = f"{folder}/scene", f"{folder}/out"
         with open(source, "wb") as stream:
@@ -102,7 +102,7 @@ def speed_rows(scene, rounds, chosen):
 
 
 class Curve:
-    """One model of one peer on one scene: its answer, and the plays of each count of iterations on each number of threads."""
+    """Plays one model of one peer on one scene: its converged result, and each number of iterations on each number of threads."""
 
     def __init__(self, scene, peer, model, _, largest, unit):
         self.scene, self.peer, self.model, self.unit = scene, peer, model, unit
@@ -131,7 +131,7 @@ class Curve:
         return 100 * norm(np.linalg.norm(found[1] - self.answer[1], axis=1)) / self.scale
 
     def within(self, threads):
-        """The first count from which on all are within what is wanted."""
+        """Returns the first number of iterations from which on all errors are small enough."""
         tried = [count for t, count in sorted(self.plays) if t == threads and count < self.largest]
         return next((n for k, n in enumerate(tried) if all(self.error(self.plays[threads, m][0]) <= wanted
                                                            for m in tried[k:])), None)

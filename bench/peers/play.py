@@ -1,10 +1,10 @@
-"""Plays the scene once in one peer: one process, so that a thread count holds from its start.
+"""Plays the scene once in one peer. This is a separate process, so that its number of threads is fixed from the start.
 
     play.py PEER MODEL THREADS ITERATIONS SCENE OUT
 
 SCENE is a pickled scene.Scene; OUT gets the final node positions as float32. Prints one line of JSON: version, milliseconds
-to build, milliseconds of every step. Before each step all velocities are set to zero (not timed), so that every peer looks
-for the same thing as a quasi-static solver: the equilibrium of its own energy at the pushed nodes' new place.
+to build, milliseconds of every step. Before each step it sets all velocities to zero (not timed). So every peer solves the same
+problem as a quasi-static solver: it looks for the equilibrium of its own energy with the pushed nodes at their new place.
 """
 
 import importlib.metadata
@@ -32,19 +32,19 @@ def clock(work):
 
 
 def little_endian(scene):
-    """The scene as the programs read it: counts, dt, speed; nodes, edges, tets with inverse masses and compliances."""
+    """Returns the scene in the format of the programs: counts, dt, speed; nodes, edges, tets with inverse masses and compliances."""
     inverse_mass = np.where(scene.fixed(), 0, 1 / scene.mass)
     edge = np.empty(len(scene.edge), [("node", "<i4", 2), ("compliance", "<f4")])
     edge["node"], edge["compliance"] = scene.edge, 1 / scene.edge_stiffness
     tet = np.empty(len(scene.tet), [("node", "<i4", 4), ("compliance", "<f4")])
-    tet["node"], tet["compliance"] = scene.tet, 36 / scene.volume_stiffness  # Jolt's constraint is on six volumes
+    tet["node"], tet["compliance"] = scene.tet, 36 / scene.volume_stiffness  # Jolt constrains six times the volume
     return (struct.pack("<iiiff", len(scene.node), len(tet), len(edge), play.dt, play.speed)
             + np.column_stack([scene.node, inverse_mass, scene.pushed]).astype("<f4").tobytes()
             + edge.tobytes() + tet.tobytes())
 
 
 def program(scene, *command):
-    """What a program of its own prints and finds; SCENE and OUT in its command are files."""
+    """Runs a peer that is a separate program. Returns its output and its positions. SCENE and OUT in its command are files."""
     with tempfile.TemporaryDirectory() as folder:
         files = {"SCENE": pathlib.Path(folder) / "scene.bin", "OUT": pathlib.Path(folder) / "out.bin"}
         files["SCENE"].write_bytes(little_endian(scene))
@@ -54,7 +54,7 @@ def program(scene, *command):
 
 
 def crumple(scene, model, threads, iterations):
-    """Ours; an iteration is a sweep, and the model says how many sub-steps there are in a step."""
+    """Our solver. An iteration is a sweep, and the model gives the number of sub-steps in a step."""
     substeps = int(model.split()[1])
     answer, found = program(scene, bench_folder / "crumple_peer", "SCENE", "OUT", threads, substeps, iterations, play.steps)
     return "crumple", answer["build_ms"], answer["ms"], found
@@ -101,7 +101,7 @@ def pypbd(scene, model, threads, iterations):
     pushed, times = np.flatnonzero(scene.pushed), []
     for step in range(play.steps):
         for i in range(len(scene.node)):
-            particles.setVelocity(i, [0, 9.81 * play.dt, 0])  # its gravity, that Python cannot set, makes it zero
+            particles.setVelocity(i, [0, 9.81 * play.dt, 0])  # cancels its gravity, which Python cannot set
         for i, target in zip(pushed, scene.targets(step)):
             particles.setPosition(int(i), target)
         times.append(clock(lambda: stepper.step(body))[0])
@@ -139,7 +139,7 @@ def rapier(scene, model, threads, iterations):
 
 
 def mujoco(scene, model, threads, iterations):
-    """Implicit steps; an iteration is a step of dt / iterations. The front is one body too heavy to be held back.
+    """Implicit steps. An iteration is a step of dt / iterations. The front is one body, too heavy to be slowed.
 
     At one sub-step it warns that its inner solve ran out of iterations."""
     import mujoco as mj

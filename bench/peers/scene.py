@@ -1,8 +1,8 @@
-"""The one scene that every peer plays: a mesh of tets whose anchored nodes stay, and whose front is pushed in.
+"""The one scene that every peer plays: a mesh of tets with anchored nodes, and with a front that is pushed in.
 
-A scene is made of the very mesh that crumple solves (a baked car), or of a grid with five tets a cell. All nodes within
-0.15 m of the nose are moved 0.20 m backwards at constant speed in 12 steps of 1/60 s; nothing else acts. Elastic throughout:
-most peers have no plasticity. Where a peer takes physical constants they are those of crumple's default: E 15 MPa, nu 0.
+The mesh is the mesh that crumple solves (a baked car), or a grid with five tets per cell. All nodes within 0.15 m of the nose move
+0.20 m backwards at constant speed in 12 steps of 1/60 s. Nothing else acts. The material is elastic, because most peers have no
+plasticity. Peers with physical constants use crumple's defaults: E 15 MPa, nu 0.
 """
 
 import dataclasses
@@ -33,7 +33,8 @@ class Scene:
         keys = self.edge[:, 0] * len(self.node) + self.edge[:, 1]
         shared = np.bincount(np.searchsorted(keys, pairs[:, 0] * len(self.node) + pairs[:, 1]), np.repeat(self.volume, 6))
         length2 = ((self.node[self.edge[:, 0]] - self.node[self.edge[:, 1]]) ** 2).sum(axis=1)
-        # Springs in all directions make a Cauchy solid of modulus E if each has E times the volume around it over length^2.
+        # Springs in all directions form a Cauchy solid of modulus E if the stiffness of each is E times the volume around it,
+        # divided by length^2.
         self.edge_stiffness = young_modulus * shared / length2  # N/m
         self.volume_stiffness = young_modulus / 3 / self.volume  # Pa/m^3, of (V - V0)^2 / 2: the bulk modulus at nu = 0
 
@@ -41,19 +42,19 @@ class Scene:
         return self.anchored | self.pushed
 
     def targets(self, step):
-        """Where the pushed nodes are at the end of a step, counted from 0."""
+        """Returns the places of the pushed nodes at the end of a step. Steps count from 0."""
         return self.node[self.pushed] - [speed * dt * (step + 1), 0, 0]
 
 
 def surface(tet):
-    """The faces that only one tet has, outward."""
+    """Returns the faces that belong to only one tet, facing outward."""
     faces = tet[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return faces[first[count == 1]]
 
 
 def grid_tets(cells, size):
-    """A box of cells, five tets each, mirrored from cell to cell so that faces match: nodes and tets."""
+    """Returns nodes and tets of a box of cells with five tets each. Neighbouring cells are mirrored, so that faces match."""
     nx, ny, nz = cells
     axes = [np.linspace(0, size[k], cells[k] + 1) for k in range(3)]
     node = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -87,8 +88,8 @@ def grid(cells):
 
 
 def car(path):
-    """A baked car (schema/car.fbs)."""
-    sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "build/schema/python"))  # where flatc's code is
+    """Reads a baked car (schema/car.fbs)."""
+    sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "build/schema/python"))  # the code from flatc
     from crumple.schema.Car import Car
 
     read = Car.GetRootAs(pathlib.Path(path).read_bytes())

@@ -1,5 +1,5 @@
-// Plays bench/web/run: crumple_load is the server and the host, `crumple view` the gateway, Chromium the browser. Time is taken around
-// what the page calls anyway, so the page knows nothing of it.
+// Implements bench/web/run: crumple_load is the server and the host, `crumple view` the gateway, Chromium the browser. It measures the
+// time of functions that the page calls anyway, so the page needs no code for it.
 //   node bench/web/measure.mjs CAR SECONDS
 import { spawn } from "node:child_process";
 import { existsSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -10,8 +10,8 @@ import { pathToFileURL } from "node:url";
 const [car, seconds] = [process.argv[2], Number(process.argv[3])];
 const cars = { crashing: 4, driving: 4, asleep: 12 };
 const warm = 5; // s until shaders and functions are compiled
-const drawn = 15; // s with pixels; all else is without, as if graphics took no time: here the processor makes them
-const settles = 12; // s until the page draws as little as it can, and the browser, which takes frames in advance, waits for each
+const drawn = 15; // s with drawing; the rest runs without drawing, because here the processor would draw
+const settles = 12; // s until the page draws as little as it can, and the browser no longer queues frames in advance
 const patience = 120; // s
 const out = "build/bench/web";
 const require = createRequire(pathToFileURL(resolve("build/web/package.json")));
@@ -33,7 +33,7 @@ async function until(what, condition) {
   throw new Error(`did not come within ${patience} s: ${what}`);
 }
 
-/** In the page, before its own code: the time of each frame, and a switch that leaves out drawing itself. */
+/** Runs in the page before its own code: measures the time of each frame, and can switch off drawing. */
 function watchFrames() {
   for (const name of ["drawElements", "drawArrays", "drawElementsInstanced", "drawArraysInstanced", "clear"]) {
     const draw = WebGL2RenderingContext.prototype[name];
@@ -55,7 +55,7 @@ function watchFrames() {
   });
 }
 
-/** In the page: the time of what it calls, and when each surface came. */
+/** Runs in the page: measures the functions that it calls, and the arrival of each surface. */
 function watchCalls() {
   const { renderer, live } = window.crumple, { measured } = window;
   const render = renderer.render.bind(renderer), take = live.take.bind(live), ticks = new Map();
@@ -78,7 +78,7 @@ function watchCalls() {
   measured.drawn = 0;
 }
 
-/** When the server had done each tick, ms. */
+/** The time at which the server had done each tick, ms. */
 function readTicks(file) {
   const reader = new McapStreamReader({ decompressHandlers: { lz4: (data, size) => decompress(data, Number(size)) } });
   const ticks = new Map(), channels = new Set();
@@ -140,7 +140,8 @@ async function main() {
   const { held, ...blank } = await watch(page, seconds, true);
   if (process.env.PROFILE) writeFileSync(process.env.PROFILE, JSON.stringify((await session.send("Profiler.stop")).profile));
   const after = await memory();
-  // Last: what it has not drawn yet holds up what follows. First in full, then as the page does by itself.
+  // Drawing is measured last, because frames that are not drawn yet delay the next measurement. First in full quality, then as
+  // the page chooses.
   const watchPixels = async () => {
     await page.keyboard.press("f");
     await page.evaluate(() => (window.measured.blank = false));

@@ -27,7 +27,7 @@ using Clock = std::chrono::steady_clock;
 constexpr double gravity = 9.81;           // m/s^2
 constexpr double braking = 0.7 * gravity;  // locked wheels on a dry road
 constexpr double silence = 2;              // s: a server that is late in a crash may send nothing for so long
-constexpr double patience = 60;            // s beyond those of the scene, for a server that is late
+constexpr double patience = 60;            // s in addition to the scene's time, for a server that is late
 constexpr double yaw_braking = 5;  // rad/s^2: braking at wheels 1.3 m from the centre of a car of 1500 kg and 2600 kg m^2
 
 // Prints progress at once, also through a pipe.
@@ -51,10 +51,10 @@ struct Moving {
   Vector3d position = Vector3d::Zero();
   Quaterniond orientation = Quaterniond::Identity();
   Vector3d velocity = Vector3d::Zero(), turn = Vector3d::Zero();
-  Vector3d center = Vector3d::Zero();  // of mass, car's frame
+  Vector3d center = Vector3d::Zero();  // centre of mass, car's frame
   uint64_t seen = 0;
   bool hit = false, touching = false;
-  double told_seconds = 0;  // by the server: how much time the reactions of this host tick add
+  double told_seconds = 0;  // the server's time that the reactions of this host tick cover
   double silence = 0;       // s without a reaction
 
   void advance(double seconds) {

@@ -15,7 +15,7 @@ struct DriveOptions {
   std::string host = "drive";
   std::string id = "car";  // of the car that it spawns
   std::string car;         // baked car: file or hash; empty: the scene's
-  std::string preset;      // file of parameters, laid over the scene's; empty: none
+  std::string preset;      // file of parameters that override the scene's; empty: none
   double rate = 0;         // poses a second; 0: the scene's
   bool leave = false;      // the car stays in the scene when drive ends
 };

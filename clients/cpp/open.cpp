@@ -8,7 +8,7 @@
 namespace crumple::client {
 namespace {
 
-// Puts a question to the server, and returns its ticket; 0: it could not be put.
+// Sends a query to the server and returns its ticket; 0: it could not be sent.
 uint64_t put(Net* net, const std::string& key, std::span<const uint8_t> payload, std::chrono::milliseconds patience) {
   uint64_t ticket = 0;
   const auto timeout = static_cast<uint32_t>(patience.count());

@@ -1,4 +1,5 @@
-// The inside of a session (crumple_client.h): what has come and the caller has not taken yet, and what the session waits for.
+// The inside of a session (crumple_client.h): messages that the caller has not taken yet, and answers that the session waits
+// for.
 #pragma once
 
 #include <crumple_client.h>
@@ -34,10 +35,10 @@ inline constexpr size_t answers_kept = 256;
 inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one message
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
-inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines have some 100; -1 is none
+inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines use some 100; refuses -1
 
-// Tells the server's time by the delay of messages: when they come, less the time of their tick. The least delay of the last
-// one or two seconds is nearest to the truth, because messages with more were held up.
+// Computes the server's time from the delay of messages: the time of arrival minus the time of the tick. The least delay of the
+// last one or two seconds is nearest to the truth, because other messages were held up.
 struct ServerClock {
   double rate = 60;                                                        // ticks a second
   double least = std::numeric_limits<double>::infinity(), before = least;  // s, of this second and of the one before
@@ -64,7 +65,7 @@ struct ShownCar {
   std::vector<float> copied;
 };
 
-// A bad line and the messages on it, by the time at which they come: to the session, or to the server (then with a whole key).
+// A simulated bad line, with its messages by time of arrival. They go to the session, or with a whole key to the server.
 struct Impaired {
   struct Message {
     bool outgoing;
@@ -138,8 +139,8 @@ struct Crumple {
 };
 
 namespace crumple::client {
-// The session of a handle, or NULL with the error set. A handle is a number that never comes again, in place of an address: a
-// closed one is known as such, also when another session lies where its session lay.
+// Returns the session of a handle, or NULL with the error set. A handle is a number that is never reused, instead of an
+// address. So a closed handle is recognised even if another session has the address of its session.
 Crumple* find(const Crumple* handle);
 // Gives a session its handle.
 Crumple* keep(std::unique_ptr<Crumple>);
@@ -148,13 +149,13 @@ struct Argument {
   const char* name;
   const void* value;
 };
-// Whether none is NULL; else the error is set.
+// Whether no pointer is NULL. Otherwise sets the error.
 bool not_null(std::initializer_list<Argument>);
-// What an exception says is the error; NULL: it is none of C++'s own.
+// Sets the error to the sentence of an exception; NULL: it is no std::exception.
 int fail_by(const std::exception*) noexcept;
 
-// Each function of the header: with a session, with all arguments that it needs, and no exception gets out of the library,
-// since no caller in C or another language could take it.
+// Runs a function of the header. Checks the session and all arguments that the function needs, and lets no exception out of the
+// library, because callers in C or another language cannot catch it.
 template <class DeformableState>
 int guarded(std::initializer_list<Argument> needed, DeformableState body) noexcept {
   try {
@@ -179,16 +180,16 @@ int mesh_of(Crumple*, const char* hash, CrumpleMesh* out);
 
 // Takes in what arrived.
 void take(Crumple&, const NetEvent&);
-// Whether the message goes the way of a bad line; else it is as if there were none.
+// Whether the message goes through the simulated bad line; false: it is delivered directly.
 bool impair(Impaired&, bool outgoing, std::string_view key, std::span<const uint8_t> bytes);
 // Takes the messages that have come to the end of a bad line. Returns how many came to the session.
 int take_impaired(Crumple&);
-// How long to wait for what arrives by itself: not beyond what comes by a bad line.
+// How long to wait for new messages: at most until the next message leaves the simulated bad line.
 uint64_t until_next(const Impaired&, uint64_t timeout_us);
-// Takes a baked car that the server gave, or why it did not.
+// Takes a baked car from the server, or the sentence that refuses it.
 void take_asset(Crumple&, AssetNews);
-// Whether there is a surface that counts.
+// Whether the car has a surface that may be shown.
 bool held(const FollowedCar&);
-// Keeps what is held, so that it can still be shown when it is no longer the newest.
+// Keeps the present surface, so that it can still be shown when it is no longer the newest.
 void remember(const Surface&, ShownCar&, double rate);
 }  // namespace crumple::client

@@ -101,7 +101,7 @@ void take_health(Crumple& session, std::span<const uint8_t> bytes) {
     for (const auto* count : *message->refusals()) health.refusals += count->value();
 }
 
-// failed: the reply is an error, which is a sentence of the transport (a timeout) and no Answer.
+// failed: the reply is an error sentence of the transport (a timeout) instead of an Answer.
 void take_answer(Crumple& session, CommandAnswer& answer, std::span<const uint8_t> bytes, bool failed) {
   if (const auto* message = verified<schema::Answer>(bytes)) {
     answer.ok = message->ok();

@@ -1,5 +1,5 @@
-// Makes of a surface what an engine draws: it writes positions and normals of the vertices into the caller's buffer, from the
-// displacements of the skin's nodes, and says which vertices have changed.
+// Converts a surface for an engine: writes positions and normals of the vertices into the caller's buffer, computed from the
+// displacements of the skin's nodes, and reports which vertices have changed.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -11,7 +11,7 @@ using namespace crumple::client;
 
 namespace {
 
-// Ticks between two messages of a car that deforms, by surface level: so long its way to the next shape takes.
+// Ticks between two messages of a deforming car, by surface level: the time of the interpolation to the next shape.
 constexpr double interval[2] = {1, 6};
 
 // Writes the displacements of the skin's nodes at a time, in ticks. Returns the quantum in which it wrote them, m.

@@ -1,6 +1,6 @@
 // crumple_client.h for Godot 4.4 or newer: scripts get the class CrumpleSession, the session of a viewer. It uses Godot's C
-// interface directly, by the header that Godot writes itself. Where something goes wrong, Godot shows the library's sentence
-// among its own errors, and the method returns false, 0 or nothing. crumple_car.gd makes a node of this class.
+// interface directly, with the header that Godot writes. If a method fails, Godot shows the library's sentence as an error, and
+// the method returns false, 0 or nothing. crumple_car.gd makes a node of this class.
 #include <crumple_client.h>
 #include <gdextension_interface.h>
 
@@ -58,7 +58,7 @@ struct Name {
 
 void complain(const std::string& sentence) { godot.print_error(sentence.c_str(), "CrumpleSession", __FILE__, 0, false); }
 
-// What methods take and give, as it lies in Godot's memory.
+// Arguments and results of methods, in the layout of Godot's memory.
 struct Bytes {
   const void* data;
   size_t size;
@@ -137,8 +137,8 @@ class Session {
     return !has(crumple_surface(handle_, car.c_str(), &surface)) || surface.alive;
   }
 
-  // These two give what an asset has, and nothing until it has come. vertices: Vector3. triangles: int32, clockwise from the
-  // front, as Godot has them.
+  // These two return the mesh of an asset, or nothing until the asset has come. vertices: Vector3. triangles: int32, clockwise
+  // from the front, as Godot has them.
   Bytes vertices(std::string asset) {
     const CrumpleMesh mesh = mesh_of(asset);
     return {mesh.vertex, 12 * size_t{mesh.vertex_count}};
@@ -242,7 +242,7 @@ template <class Result, class... Arguments, Result (Session::*method)(Arguments.
 struct Of<method> {
   template <size_t... i>
   static void run(Session& session, const GDExtensionConstTypePtr* arguments, void* result, std::index_sequence<i...>) {
-    (void)arguments;  // of methods without any
+    (void)arguments;  // for methods without arguments
     write((session.*method)(read<Arguments>(arguments[i])...), result);
   }
   static void run(void*, GDExtensionClassInstancePtr session, const GDExtensionConstTypePtr* arguments, void* result) {
@@ -339,7 +339,7 @@ void end(void*, GDExtensionInitializationLevel level) {
 
 }  // namespace
 
-// What crumple.gdextension names.
+// The entry point that crumple.gdextension names.
 extern "C" __attribute__((visibility("default"))) GDExtensionBool crumple_godot(GDExtensionInterfaceGetProcAddress get,
                                                                                 GDExtensionClassLibraryPtr itself,
                                                                                 GDExtensionInitialization* out) {

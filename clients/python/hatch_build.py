@@ -1,4 +1,4 @@
-"""The wheel carries a shared library, so it is of this kind of machine, and of any Python on it."""
+"""The wheel contains a shared library, so it is for one kind of machine, and for any version of Python."""
 
 import pathlib
 import sysconfig

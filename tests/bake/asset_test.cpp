@@ -1,5 +1,4 @@
-// The asset room: reading a baked car, importing a surface, tets, constraints, skin, regions, the built-in body, the whole
-// bake.
+// Tests baking: reading a baked car, importing a surface, tets, constraints, skin, regions, the built-in body, the whole bake.
 
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
@@ -35,7 +34,7 @@ Surface box_surface(BoxCells cells = {}) {
   return out;
 }
 
-// Volume, m^3; negative when the faces are turned inward.
+// The enclosed volume, m^3; negative if the faces point inward.
 double enclosed(const Surface& surface) {
   double six = 0;
   for (const auto& [a, b, c] : surface.triangle) six += surface.vertex[a].cross(surface.vertex[b]).dot(surface.vertex[c]);
@@ -109,7 +108,7 @@ TEST(Constraints, AreThoseOfAHandCalculatedPair) {
   // The unit corner tet, and its mirror image across the face of corners 1, 2, 3.
   TetMesh mesh{{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}, {2 / 3.f, 2 / 3.f, 2 / 3.f}}, {{{0, 1, 2, 3}}, {{4, 1, 3, 2}}}};
   const Constraints c = build_constraints(mesh);
-  EXPECT_EQ(c.edge.size(), 9u);  // 12 minus the 3 that are shared
+  EXPECT_EQ(c.edge.size(), 9u);  // 12 minus 3 shared edges
   EXPECT_FLOAT_EQ(c.tet_rest[0], 1 / 6.f);
   EXPECT_FLOAT_EQ(c.tet_rest[1], 1 / 6.f);
   for (int k = 0; k < 3; ++k) EXPECT_EQ(c.gradients[0].corner[k], Vec3::Unit(k));
@@ -178,7 +177,8 @@ TEST(Skin, CarriesEveryVertexWhereItIs) {
   const std::vector<Vec3> points = scattered(2000, 4);
   const SkinResult result = build_skin(mesh, points);
   for (size_t i = 0; i < points.size(); ++i) {
-    // Inside, the weights give the vertex itself; outside, a point of the tet, not much farther than the nearest.
+    // Inside a tet the weights give the vertex itself. Outside they give a point of the tet that is not much farther than the
+    // nearest one.
     EXPECT_LT((carried(mesh, result.skin[i]) - points[i]).norm(), 5e-6 + 3 * result.distance[i]);
     for (float weight : result.skin[i].weight) EXPECT_GE(weight, 0);
   }
@@ -208,7 +208,7 @@ TEST(Skin, ContainsTheSamePointsAsTheBoxItself) {
 }
 
 TEST(Skin, TakesTheNearestTetAndNotTheNearestCentroid) {
-  // A long tet passes close by the point; a small one's centroid is nearer.
+  // A long tet passes close to the point, but the centroid of a small tet is nearer.
   const TetMesh mesh{
       {{-5, 0, 0}, {5, 0, 0}, {5, 0, 0.1f}, {5, 0.1f, 0}, {-4, 0.6f, 0}, {-3.9f, 0.6f, 0}, {-4, 0.7f, 0}, {-4, 0.6f, 0.1f}},
       {{{0, 1, 3, 2}}, {{4, 5, 6, 7}}}};
@@ -248,7 +248,8 @@ TEST(Import, ReadsTheSameBoxFromObjStlAndPly) {
   }
 }
 
-// A tet with corners (0,0,0), (1,0,0), (0,1,0), (0,0,1), turned outward, under a moved node and one scaled by `scale`.
+// A tet with corners (0,0,0), (1,0,0), (0,1,0), (0,0,1) and outward faces, below a translated node and a node scaled by
+// `scale`.
 std::filesystem::path write_gltf(const Files& files, const std::string& scale) {
   const float positions[12] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1};
   const uint16_t indices[12] = {0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3};
@@ -289,7 +290,7 @@ TEST(Import, KeepsFacesTurnedOutwardUnderAMirroringNode) {
 TEST(Import, ReportsWhatItWeldedAndDropped) {
   const Files files;
   Surface box = box_surface({1, 1, 1});
-  box.vertex.push_back(box.vertex[0]);  // a seam: the same place twice
+  box.vertex.push_back(box.vertex[0]);  // a seam: two vertices at the same place
   for (uint32_t& vertex : box.triangle.back()) vertex = vertex == 0 ? static_cast<uint32_t>(box.vertex.size() - 1) : vertex;
   box.triangle.push_back({1, 1, 2});
   const ImportedSurface read = import_surface(files.write("box.obj", as_obj(box)), {});
@@ -340,7 +341,7 @@ TEST(Import, RefusesEachBadMeshWithASentence) {
   expect_sentence(why(files.write("bits.obj", vertices + faces)), "bits.obj", "1000 pieces");
 }
 
-// A tetrahedron as Collada, with nodes that others may name, and the nodes of the scene.
+// A tetrahedron as Collada, with nodes that can be referenced, and the nodes of the scene.
 std::string as_collada(const std::string& library, const std::string& nodes) {
   const std::string begin =
       R"(<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -380,7 +381,7 @@ TEST(Import, NodesWithinNodesEndInASentenceHoweverDeep) {
                   "most.gltf", "nested thousands deep");
 }
 
-// Each names the next one twice.
+// Each node references the next one twice.
 std::filesystem::path write_doubling(const Files& files, int levels) {
   std::string nodes;
   for (int i = 0; i < levels; ++i) {
@@ -398,7 +399,7 @@ TEST(Import, NodesThatAreNamedAgainAndAgainAreCountedBeforeTheyFillTheMemory) {
   const Files files;
   const auto why = [&](int levels) { return refusal([&] { (void)import_surface(write_doubling(files, levels), {}); }); };
   expect_sentence(why(16), "doubling.gltf", "over 3200000 vertices");
-#if !defined(__SANITIZE_ADDRESS__)  // there the memory of a process cannot be bounded
+#if !defined(__SANITIZE_ADDRESS__)  // with it the memory of a process cannot be limited
   expect_sentence(why(60), "doubling.gltf", "over 2 GiB of memory");
 #endif
 }
@@ -442,7 +443,7 @@ TEST(Tets, ThatNoFaceJoinsToTheRestAreDropped) {
   std::vector<int32_t> tets;
   for (const Vec3& node : box.node) nodes.insert(nodes.end(), {double(node.x()), double(node.y()), double(node.z())});
   for (const Tet& tet : box.tet) tets.insert(tets.end(), tet.node, tet.node + 4);
-  // One more on an edge of the box, and one far away.
+  // One more node on an edge of the box, and one far away.
   const int32_t n = int32_t(box.node.size()), a = int32_t(box.tet[0].node[0]), b = int32_t(box.tet[0].node[1]);
   nodes.insert(nodes.end(), {-3, -1, -0.2, -3, -1.1, -0.2, 9, 0, 0, 9.1, 0, 0, 9, 0.1, 0, 9, 0, 0.1});
   tets.insert(tets.end(), {a, b, n, n + 1, n + 2, n + 3, n + 4, n + 5});
@@ -563,7 +564,7 @@ TEST(Regions, ComeFromAFileInItsOrder) {
   for (size_t i = 0; i < mesh.node.size(); ++i) {
     const Vec3 p = mesh.node[i];
     const bool core = (p - Vec3(0, 0, 0.75f)).norm() <= 0.9f;
-    const bool line = std::abs(p.x()) <= 3 && std::abs(p.y()) <= 0.1f && p.z() <= 0.1f;  // the box turned by 90 degrees
+    const bool line = std::abs(p.x()) <= 3 && std::abs(p.y()) <= 0.1f && p.z() <= 0.1f;  // the box, rotated by 90 degrees
     EXPECT_EQ(regions.node_region[i], line ? 1 : core ? 2 : p.x() >= 1.25f ? 1 : 0) << p.transpose();
     EXPECT_EQ(regions.node_anchored[i], core && !line) << p.transpose();
   }
@@ -670,7 +671,7 @@ TEST(BuiltIn, IsClosedSymmetricAndHasExactlyTheVerticesAskedFor) {
     const Surface body = build_car_body(vertices);
     EXPECT_EQ(body.vertex.size(), vertices);
     EXPECT_EQ(body.triangle.size(), 2 * vertices - 4) << "no handles";
-    std::map<std::pair<uint32_t, uint32_t>, int> sides;  // each edge once in either direction
+    std::map<std::pair<uint32_t, uint32_t>, int> sides;  // each edge occurs once in either direction
     for (const Triangle& t : body.triangle)
       for (int k = 0; k < 3; ++k) ++sides[{t[k], t[(k + 1) % 3]}];
     for (const auto& [edge, count] : sides) {
@@ -691,8 +692,8 @@ TEST(BuiltIn, HasTheSizeOfACarAndOpenWheelArches) {
   EXPECT_NEAR(box.sizes().x(), 4.55, 0.1);
   EXPECT_NEAR(box.sizes().y(), 1.8, 0.01);
   EXPECT_NEAR(box.sizes().z(), 1.43, 0.03);
-  EXPECT_NEAR(enclosed(body), 7.5, 0.5);  // turned outward, and far from a full box of 11.7
-  for (const Vec3& v : body.vertex)       // where the wheels are
+  EXPECT_NEAR(enclosed(body), 7.5, 0.5);  // faces point outward, and the volume is far below the full box of 11.7
+  for (const Vec3& v : body.vertex)       // the place of the wheels
     for (float axle : {-1.36f, 1.36f})
       EXPECT_FALSE(std::abs(v.y()) > 0.65f && std::hypot(v.x() - axle, v.z() - 0.15f) < 0.3f) << v.transpose();
 }
@@ -776,16 +777,16 @@ TEST(Bake, OfABakedCarPaintsAsTheFirstBakeWouldHave) {
   BakeOptions again;
   again.input = files.folder.path / "plain.car";
   write_car(*plain, again.input);
-  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // nothing painted: the very car
+  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // nothing was painted, so the car is identical
   again.regions = painted;
   const auto later = bake(again, {}).car;
-  EXPECT_EQ(later->hash, at_once->hash);  // every byte: tets, skin, masses, name and whom to credit too
+  EXPECT_EQ(later->hash, at_once->hash);  // every byte is equal: tets, skin, masses, name and attribution
   EXPECT_EQ(later->regions, (std::vector<std::string>{"body", "hood", "cell"}));
   EXPECT_NE(later->hash, plain->hash);
   again.input = files.folder.path / "painted.car";
   write_car(*later, again.input);
   again.regions.reset();
-  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // and back: of the painting before nothing is left
+  EXPECT_EQ(bake(again, {}).car->hash, plain->hash);  // nothing remains of the earlier painting
 }
 
 TEST(Bake, SaysWhereACarCannotBeWritten) {

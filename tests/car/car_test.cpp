@@ -1,4 +1,5 @@
-// Reading a baked car: what is accepted is sound and points into the file, everything else is refused with a sentence.
+// Tests reading a baked car: an accepted car is sound and points into the file, and every other file is refused with a
+// sentence.
 
 #include "car/car.h"
 
@@ -51,7 +52,7 @@ TEST(Car, RefusesEveryPrefixOfItself) {
   }
 }
 
-// Every index behind the door is in range, whatever was accepted.
+// Checks that every index of an accepted car is in range.
 void expect_sound(const Car& car) {
   const Model& m = car.model;
   const auto below = [](uint32_t value, size_t limit) { ASSERT_LT(value, limit); };
@@ -89,7 +90,7 @@ TEST(Car, IsRefusedOrSoundAfterAnySingleBitFlip) {
     ASSERT_FALSE(HasFatalFailure()) << "bit " << bit;
     bytes[bit / 8] ^= flip;
   }
-  EXPECT_GT(refused, 4 * bytes.size());  // not all: low bits of mantissas and of names are anybody's
+  EXPECT_GT(refused, 4 * bytes.size());  // not all, because low bits of mantissas and of names may have any value
 }
 
 TEST(Car, SaysWhatIsWrongWithAFile) {
@@ -138,7 +139,7 @@ TEST(Car, ChecksEveryList) {
   refused(spoiled<float>([](auto& m) { return m.edge_rest; }, 1, infinity), "rest length");
   refused(spoiled<uint32_t>([](auto& m) { return m.node_first; }, 1, UINT32_MAX), "tets around each node");
   refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 1, UINT32_MAX), "tets around each node");
-  refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 5, 47), "tets around each node");  // another node's
+  refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 5, 47), "tets around each node");  // a tet of another node
   refused(spoiled<uint32_t>([](auto& m) { return m.triangle; }, 0, 12), "triangle");
   refused(spoiled<uint32_t>([](auto& m) { return m.skin; }, 1, 12), "vertex hangs");
   refused(spoiled<float>([](auto& m) { return m.skin; }, 4, 0.9f), "sum to 1");

@@ -1,4 +1,5 @@
-// A browser without a window: the package of clients/web beside a gateway. Says once a second what it holds, one line of JSON.
+// A browser without a window: runs the package of clients/web against a gateway. Prints its surfaces once a second as one line
+// of JSON.
 //   node browser.mjs WEB URL       WEB: the folder build/web
 import { resolve } from "node:path";
 import { pathToFileURL } from "node:url";

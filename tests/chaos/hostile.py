@@ -1,10 +1,11 @@
-"""What somebody hostile sends, one table: TABLE. A process of its own for each row, which `run` kills after a few seconds.
+"""TABLE lists all hostile messages. Each row runs in a separate process, which `run` kills after a few seconds.
 
     hostile.py ENDPOINT NETWORK CAR HOST:PORT HOST:PORT SEED NAME     sends the row NAME; the addresses: metrics and gateway
-    hostile.py --list                                                 every row
+    hostile.py --list                                                 prints the name of every row
 
-Whoever reaches an open server may do everything; beside TLS with users a player sends this, and has the rights of one. Nobody
-here commands a car of a host or speaks in a host's name: who has all rights may do that, and no server can tell.
+On an open server every program may do everything. On a server with TLS and users, a user with the rights of a player sends these
+messages. No row commands a car of a host or uses a host's id, because a user with all rights may do that, and no server can tell
+the difference.
 """
 
 import dataclasses
@@ -20,15 +21,15 @@ from collections.abc import Callable
 SCENE = "main"
 ROOT = f"crumple/1/{SCENE}/"
 MB = 1_000_000
-HOLD = 2.0  # s that a declaration or a socket stays
+HOLD = 2.0  # s for which a declaration or a socket stays open
 
 
 @dataclasses.dataclass(frozen=True)
 class Row:
     name: str
-    send: Callable  # of an Enemy
-    usurps: bool = False  # says that it owns the scene: where everybody may, nobody knows better, and hosts wait for its end
-    tls: bool = False  # makes sense there only
+    send: Callable  # takes an Enemy
+    usurps: bool = False  # declares itself the owner: on an open server everybody may, and hosts wait for its end
+    tls: bool = False  # only for servers with TLS
 
 
 class Enemy:
@@ -80,13 +81,13 @@ class Enemy:
         return taken
 
     def connect(self, address, request=b""):
-        """A socket that stays."""
+        """Opens a socket and keeps it open."""
         it = socket.create_connection(address, 2)
         it.settimeout(0.2)
         try:
             it.sendall(request)
         except OSError:
-            pass  # let go already
+            pass  # already closed
         self.held.append(it)
         return it
 
@@ -97,14 +98,14 @@ class Enemy:
 
 
 def keyed(verb):
-    """Every shape of key that zenoh takes, by one verb."""
+    """Uses one verb with every form of key that Zenoh accepts."""
 
     def send(enemy):
         for key in SHAPES:
             try:
                 getattr(enemy, verb)(key, b"x") if verb in ("put", "get", "answer") else getattr(enemy, verb)(key)
             except Exception as error:
-                print(f"{key[:60]!r}: {error}", flush=True)  # zenoh does not take it
+                print(f"{key[:60]!r}: {error}", flush=True)  # Zenoh refuses this key
         time.sleep(HOLD)
 
     return send
@@ -120,7 +121,7 @@ def tokens(enemy):
 
 
 def declares(enemy):
-    """Keys alone, which nobody's rights are asked for."""
+    """Declares only keys, for which Zenoh checks no rights."""
     for key in SHAPES:
         try:
             enemy.held.append(enemy.session.declare_keyexpr(key))
@@ -188,7 +189,7 @@ def asset_of(enemy):
 
 
 def come_and_go(enemy):
-    """Ids that were never there, and are never again."""
+    """Spawns and despawns cars with ids that occur only once."""
     come, go = spawn(asset_of(enemy)), despawn()
     end = time.monotonic() + 3
     number = 0
@@ -221,7 +222,7 @@ def every_queryable(enemy):
 
 
 def own(key):
-    """Where a message like this one is sent when it was forged: in the name of nobody that is there."""
+    """Returns the key for a forged copy of a message; its host or car does not exist."""
     key = re.sub(r"/host/[^/]+/", "/host/evil/", key)
     return re.sub(r"/car/[^/]+/", "/car/evil/", key)
 
@@ -260,7 +261,7 @@ def forge_orders(enemy):
 
 
 def forge_cut(enemy):
-    """Real messages cut off, and noise, under their own keys: who takes them refuses them."""
+    """Sends truncated real messages and noise under real keys: every receiver must refuse them."""
     for key, real in enemy.heard().items():
         if "/poses" in key or "/obstacles" in key:
             continue
@@ -287,7 +288,7 @@ def noise(enemy):
 
 
 def answers(enemy):
-    """A server that is none: it answers what viewers ask with noise, or nothing."""
+    """Pretends to be a server: it answers the queries of viewers with noise or not at all."""
     for key, size in (("car/*/key/*", 300), ("../asset/*", 300_000), ("inputs", 100), ("replica/world", 5 * MB)):
         enemy.answer((ROOT + key).replace(f"{SCENE}/../", ""), enemy.noise(size))
     enemy.held.append(enemy.session.declare_queryable(ROOT + "car/*", lambda query: enemy.held.append(query)))
@@ -295,7 +296,7 @@ def answers(enemy):
 
 
 def never_reads(key, asks=0):
-    """Also with answers under way, so that what waits for it is more than what the system holds for a socket."""
+    """Never reads. With `asks` it also requests answers, until more data waits than the system buffers for a socket."""
 
     def send(enemy):
         asset = asset_of(enemy) if asks else ""
@@ -303,14 +304,14 @@ def never_reads(key, asks=0):
             enemy.subscribe(key)
         time.sleep(0.3)
         enemy.get(f"crumple/1/asset/{asset}", bytes(8), asks)
-        time.sleep(0.05)  # until they left
+        time.sleep(0.05)  # until they have left
         os.kill(os.getpid(), signal.SIGSTOP)
 
     return send
 
 
 def half_open(enemy):
-    """Sockets that say nothing, half a greeting, or noise, where zenoh listens."""
+    """Opens sockets at Zenoh's port that send nothing, half a greeting, or noise."""
     for number in range(150):
         enemy.connect(enemy.port, (b"", b"\x00\x40", enemy.noise(50), b"\xff\xff" + enemy.noise(50))[number % 4])
     time.sleep(HOLD)
@@ -331,7 +332,7 @@ def wrong_password(enemy):
 
 
 def web(where, request, sockets=1, more=b"", times=0):
-    """Sockets with this request that are never read from; then more, as often as they take it."""
+    """Opens sockets with this request and never reads the answers; then sends the request again as often as the server accepts it."""
 
     def send(enemy):
         for _ in range(sockets):
@@ -340,7 +341,7 @@ def web(where, request, sockets=1, more=b"", times=0):
                 try:
                     it.sendall(more)
                 except OSError:
-                    break  # it takes no more
+                    break  # the server accepts no more
         time.sleep(HOLD)
 
     return send
@@ -355,7 +356,7 @@ SHAPES = [
     ROOT + "car/evil/key/-1", ROOT + "delta", ROOT + "key/0", ROOT + "host", ROOT + "replica/**", ROOT + "owner/**",
     "crumple/1/asset/*", "crumple/1/asset/" + "f" * 16, "crumple/1/asset/" + "f" * 5000, "crumple/2/**",
 ]
-DEEP = ROOT + "/".join("x" * 30_000)  # as long as zenoh takes
+DEEP = ROOT + "/".join("x" * 30_000)  # the longest key that Zenoh accepts
 HELLO = (b"GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
          b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n")
 POST = b"POST /x HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 60000000\r\n\r\n"
@@ -423,7 +424,7 @@ def main(endpoint, network, car, metrics, gateway, seed, name):
     enemy = Enemy(endpoint, network, car, address(metrics), address(gateway), int(seed))
     next(row for row in TABLE if row.name == name).send(enemy)
     time.sleep(0.3)
-    os._exit(0)  # zenoh would wait for what nobody takes
+    os._exit(0)  # Zenoh would wait until somebody reads the messages
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""What the chaos run starts beside the programs, a process each; `run` speaks to them by lines on stdin and reads their stdout.
+"""The helper processes of the chaos run. `run` sends them lines on stdin and reads their stdout.
 
-    roles.py host ENDPOINT NETWORK ID CARS LANE BIG SMALL     drives cars into walls; measures how long it was not heard
+    roles.py host ENDPOINT NETWORK ID CARS LANE BIG SMALL     drives cars into walls; measures how long the server did not hear it
     roles.py truth ENDPOINT NETWORK CARS                      asks the server for the hash of each car, at each line on stdin
-    roles.py links                                            bad lines: "open NAME HOST:PORT [thin]",
+    roles.py links                                            bad links: "open NAME HOST:PORT [thin]",
                                                               "up|cut|freeze NAME", "slow NAME MS JITTER"
-    roles.py probe                                            tells how late the machine wakes who sleeps
+    roles.py probe                                            measures how late the machine wakes a sleeping process
 
-NETWORK: a file of zenoh's configuration laid over that of a client, or "-". CARS of truth: their ids, comma separated.
+NETWORK: a file of Zenoh's configuration that overrides a client's, or "-". CARS of truth: car ids, comma separated.
 """
 
 import asyncio
@@ -22,11 +22,11 @@ SCENE = "main"
 RATE = 60  # poses a second
 WALL = 20.0  # m: the face of every wall, in x
 LANE = 8.0  # m between cars
-TELL = 0.1  # s: a host that was unheard for longer says so
-NAP, OVERSLEPT = 0.01, 0.02  # s: the probe sleeps so long, and says when it woke so much too late
+TELL = 0.1  # s: a host reports if the server does not hear it for longer
+NAP, OVERSLEPT = 0.01, 0.02  # s: the time that the probe sleeps, and the delay that it reports
 PERIOD = 2 * RATE  # ticks from one crash of all cars to the next
 WAIT = RATE // 4  # ticks that a car stands at its start before it goes
-UNIT = 1e-6  # m/s: a pose's number, modulo NUMBERS, stands in the velocity in z, which contacts leave as it is
+UNIT = 1e-6  # m/s: the velocity in z encodes a pose's number modulo NUMBERS; contacts do not change it
 NUMBERS = 10_000
 MENDED = 4.0  # s between two repairs of a car
 
@@ -36,7 +36,7 @@ def say(**what):
 
 
 def lines(take):
-    """Each line of stdin, on a thread of its own; its end ends the process's use."""
+    """Calls `take` with each line of stdin on a separate thread."""
 
     def read():
         for line in sys.stdin:
@@ -53,8 +53,9 @@ def text_of(network):
 
 
 class Car:
-    """A probe taps its wall again and again, so that each tick tells of it; unheard, where it touched last: from its start a
-    dented nose may not reach. The others crash once a period, all in the same tick, and go on to tap."""
+    """A probe taps its wall again and again, so that it gets a reaction in each tick. If the server does not hear it, it taps from
+    the place of its last contact, because its dented nose may not reach the wall from its start. The other cars crash once a
+    period, all in the same tick, and then tap their walls."""
 
     def __init__(self, crumple, id, probe, asset, nose, lane):
         self.crumple, self.id, self.probe, self.asset, self.lane = crumple, id, probe, asset, lane
@@ -74,16 +75,16 @@ class Car:
             self.touched, self.hit = self.start, None
 
     def intent(self, step, calm, sequence):
-        """The pose of this step; velocity in z: its number."""
+        """Returns the pose of this step. The velocity in z contains its number."""
         if self.probe:
-            if self.hit is None or step - self.hit > RATE // 2:  # unheard, or its wall is gone
+            if self.hit is None or step - self.hit > RATE // 2:  # the server does not hear it, or its wall is gone
                 self.hit, self.x = step, self.touched
             self.speed = -0.5 if step - self.hit < 6 else 0.5
         elif calm or step % PERIOD < WAIT:
             self.x, self.speed, self.hit = self.start, 0.0, None
         elif self.hit is None:
             self.speed = 14.0
-        else:  # it goes on to tap: each tick tells viewers of it
+        else:  # it taps its wall, so that viewers get a message in each tick
             self.speed = -1.0 if step - self.hit < 3 else 1.0
         self.x += self.speed / RATE
         pose = self.crumple.Pose((self.x, LANE * self.lane, 0.0))
@@ -105,7 +106,7 @@ class Host:
             name = f"{id}{k}" if k else f"{id}-probe"
             self.cars[name] = Car(crumple, name, k == 0, assets[file], noses[file], int(lane) + k)
         self.probe = next(iter(self.cars))
-        self.calm = True  # until told otherwise
+        self.calm = True  # until a line on stdin ends the calm
         self.sent, self.confirmed, self.confirmed_at = 0, 0, time.monotonic()
 
     def open(self):
@@ -117,11 +118,11 @@ class Host:
 
     @property
     def unheard(self):
-        """s: what was sent since the last pose that the server showed to have."""
+        """s: the time of all poses sent after the last pose that the server confirmed."""
         return (self.sent - self.confirmed) / RATE
 
     def command(self):
-        """Spawns what does not live and mends what does, on a session of its own: who waits for an answer sends no poses."""
+        """Spawns missing cars and repairs the others, in a separate session, because a session that waits for an answer sends no poses."""
         session, mended, missing = self.open(), time.monotonic(), []
         while True:
             time.sleep(0.5)
@@ -134,7 +135,7 @@ class Host:
                             pose = self.crumple.Pose((missing[0].start, LANE * missing[0].lane, 0.0))
                             session.spawn(missing[0].id, missing[0].asset, pose)
                         except self.crumple.Refused:
-                            pass  # it lives
+                            pass  # the car is already there
                         missing.pop(0)
                 elif time.monotonic() > mended + MENDED and not self.calm:
                     mended = time.monotonic()
@@ -142,7 +143,7 @@ class Host:
                         session.repair(car.id)
                         car.repaired()
             except self.crumple.Error:
-                pass  # no answer: once more
+                pass  # no answer: try again
 
     def take_reactions(self, step):
         for reaction in self.session.reactions():
@@ -166,7 +167,7 @@ class Host:
         step, due = 0, time.monotonic()
         while True:
             step += 1
-            due = max(due + 1 / RATE, time.monotonic() - 1 / RATE)  # who was late sends no burst
+            due = max(due + 1 / RATE, time.monotonic() - 1 / RATE)  # after a delay it sends no burst
             while (left := due - time.monotonic()) > 0:
                 self.session.poll(left)
             self.session.poll()
@@ -178,7 +179,7 @@ class Host:
                 if step % RATE == 1:
                     self.session.publish_obstacles([car.wall for car in self.cars.values()])
             except self.crumple.Error:
-                pass  # its own queue is full: the line is away
+                pass  # its own queue is full because the link is down
             if step % RATE == 0:
                 say(unheard=self.unheard, since=self.confirmed_at, now=time.monotonic())
 
@@ -197,7 +198,7 @@ def host(*arguments):
 
 
 def configured(endpoint, network):
-    """A configuration of PyPI eclipse-zenoh for a client."""
+    """Returns a configuration for a client with PyPI's eclipse-zenoh."""
     import zenoh
 
     config = zenoh.Config() if network == "-" else zenoh.Config.from_json5(text_of(network))
@@ -243,9 +244,9 @@ def probe():
 
 # ---- bad lines ---------------------------------------------------------------------------------------------------------------
 
-QUEUE = 8  # pieces that wait in a line, each way
+QUEUE = 8  # pieces that may wait in a link, in each direction
 PIECE = 256 << 10  # bytes
-BUFFER = 32 << 10  # bytes in the sockets of a thin line, so that what waits is soon the sender's trouble
+BUFFER = 32 << 10  # bytes in the sockets of a thin link, so that data soon waits at the sender
 
 
 def make_socket(thin):
@@ -288,7 +289,7 @@ class Link:
                 try:
                     data = await reader.read(PIECE)
                 except OSError:
-                    data = b""  # who is killed resets the connection: the other end must see it go
+                    data = b""  # a killed process resets the connection, and the other end must see this
                 await self.moves.wait()
                 await queue.put((time.monotonic() + max(0, random.gauss(self.delay, self.jitter)), data))
                 if not data:

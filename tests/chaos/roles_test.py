@@ -1,4 +1,4 @@
-"""Whether the host of the chaos run can tell a server that does not hear it from a car that no longer touches its wall.
+"""Tests that the host of the chaos run distinguishes a server that does not hear it from a car that no longer touches its wall.
 
     python tests/chaos/roles_test.py
 """
@@ -22,7 +22,7 @@ def make_probe():
 
 
 def touch(car, face, step):
-    """A reaction: its nose, as it is dented, reaches the wall at x = face."""
+    """A reaction of a car whose dented nose reaches the wall at x = face."""
     car.take(SimpleNamespace(tick=step, contacts=1, pose=SimpleNamespace(position=(face, 0, 0))), step)
 
 
@@ -35,7 +35,7 @@ def a_dented_probe_touches_its_wall_after_a_silence():
         car = make_probe()
         face = car.start + 0.01 * dent
         touch(car, face, 0)
-        touches_within(car, face, 1, SILENCE)  # nobody tells it
+        touches_within(car, face, 1, SILENCE)  # the car gets no reactions
         if not touches_within(car, face, SILENCE, RATE):
             return f"dented by {dent} cm and unheard for {SILENCE / RATE:g} s, the probe never touches its wall again"
     return ""

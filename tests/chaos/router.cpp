@@ -1,6 +1,5 @@
-// crumple_router ENDPOINT [FILE]: a router of the chaos run, with a configuration of zenoh's (JSON5). Its zenoh is built as
-// server/router.json5 wants it of zenohd; that of PyPI waits 10 s on the thread that receives whenever it lets go of who is
-// silent.
+// crumple_router ENDPOINT [FILE]: the router of the chaos run, with a configuration of Zenoh (JSON5). Zenoh is built here as
+// server/router.json5 requires for zenohd. PyPI's Zenoh blocks its receiving thread for 10 s whenever it drops a silent peer.
 #include <unistd.h>
 
 #include <cstdio>

@@ -1,4 +1,4 @@
-// The C library against its callers: every function takes any NULL and any closed session, and says so.
+// Tests the C library with wrong arguments: every function accepts any NULL and any closed session, and returns an error.
 #include <crumple_client.h>
 #include <gtest/gtest.h>
 
@@ -16,12 +16,12 @@ namespace {
 
 struct Call {
   const char* name;
-  std::vector<const char*> needed;  // pointers that must not be NULL, as the sentence names them
-  // Calls it with NULL for needed[missing], with none missing where that is -1. Status, or the count that it gives back.
+  std::vector<const char*> needed;  // names in the error sentence of the pointers that must not be NULL
+  // Calls the function with NULL for needed[missing]; -1: no pointer is NULL. Returns its status or count.
   std::function<int64_t(Crumple*, int missing)> make;
 };
 
-// The value, or NULL if it is the one that is missing.
+// The value, or NULL if this pointer is the missing one.
 template <class T>
 T* unless(bool missing, T* value) {
   return missing ? nullptr : value;
@@ -147,7 +147,7 @@ void expect_refused(const Call& call, Crumple* session, int missing, const std::
 
 TEST(CLibrary, EveryFunctionOfTheHeaderIsInTheTable) {
   std::ifstream file(CRUMPLE_SOURCE_DIR "/clients/cpp/include/crumple_client.h");
-  std::set<std::string> declared, listed{"crumple_error", "crumple_keep"};  // these take nothing
+  std::set<std::string> declared, listed{"crumple_error", "crumple_keep"};  // these take no arguments
   const std::regex function("^[a-zA-Z].*\\b(crumple_[a-z_]+)\\(");
   for (std::string line; std::getline(file, line);)
     if (std::smatch found; std::regex_search(line, found, function)) declared.insert(found[1]);
@@ -167,7 +167,7 @@ TEST(CLibrary, EveryFunctionSaysWhichArgumentIsNull) {
 TEST(CLibrary, EveryFunctionSaysThatItsSessionIsNullOrClosedOrNone) {
   Crumple* closed = opened();
   crumple_close(closed);
-  Crumple* other = opened();  // may lie where the closed one lay
+  Crumple* other = opened();  // may have the address of the closed session
   int none = 0;
   for (const Call& call : calls()) {
     const std::string name = call.name;

@@ -1,5 +1,5 @@
-// The viewer's decoder against the server's encoder, against loss, doubling and reordering, and against hostile bytes; and the
-// scene files.
+// Tests the viewer's decoder with messages of the server's encoder: unchanged, lost, repeated, reordered, and hostile. Also
+// tests the scene files.
 #include <crumple_client.h>
 #include <gtest/gtest.h>
 
@@ -29,7 +29,7 @@ using viewer::apply_delta;
 using viewer::apply_keyframe;
 using viewer::Quanta;
 
-constexpr uint32_t nodes = 700;  // 44 blocks, the last cut
+constexpr uint32_t nodes = 700;  // 44 blocks, the last one incomplete
 const std::string asset = "0123456789abcdef";
 
 std::span<const uint8_t> bytes_of(const Bytes& bytes) { return {reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}; }
@@ -90,7 +90,7 @@ TEST(Client, ADeltaIsAgainstTheKeyframeAndWrapsModulo65536) {
   viewer::Surface surface = holding(1, key);
   EXPECT_EQ(apply_delta(bytes_of(delta(2, now, 1, key).front()), surface).applied, Applied::whole);
   EXPECT_EQ(surface.quanta, now);
-  // The next one does not build on this one.
+  // The next delta does not build on this one.
   EXPECT_EQ(apply_delta(bytes_of(delta(3, key, 1, key).front()), surface).applied, Applied::whole);
   EXPECT_EQ(surface.quanta, key);
 }
@@ -164,7 +164,7 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
   for (const auto& [is_key, message] : sent) {
     const auto outcome = is_key ? apply_keyframe(bytes_of(message), surface) : apply_delta(bytes_of(message), surface);
     EXPECT_NE(outcome.applied, Applied::refused) << outcome.why;
-    if (outcome.applied == Applied::missing_keyframe)  // it asks, and is answered with the keyframe of now
+    if (outcome.applied == Applied::missing_keyframe)  // it asks, and gets the present keyframe
       static_cast<void>(apply_keyframe(bytes_of(keyframe(key_tick, key).front()), surface));
     if (surface.quanta.empty()) continue;
     ASSERT_EQ(surface.quanta, truth.at(surface.tick));
@@ -177,7 +177,7 @@ TEST(Client, InBadWeatherItHoldsNothingThatTheServerNeverHadAndIsEqualAfterwards
   EXPECT_EQ(surface.quanta, now);
 }
 
-// Whatever the bytes, what is held afterwards is a surface whose hash was stated with it.
+// For any bytes: if a surface is held afterwards, its hash is the one in the message.
 void expect_sound(const viewer::Surface& surface) {
   if (!surface.quanta.empty()) {
     EXPECT_EQ(surface_hash(surface.quanta), surface.hash);
@@ -249,7 +249,7 @@ TEST(Client, RefusesADeltaWhoseCountsDoNotFitEachOther) {
   const uint16_t wide = 16 | 16 << 5 | 16 << 10;
   std::vector<uint16_t> block(49, 1);
   block[0] = wide;
-  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0})), Applied::part);  // fits; only its hash is not met
+  EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0})), Applied::part);  // fits, but the hash does not match
   EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, block)), Applied::part);
   EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {})), Applied::refused);
   EXPECT_EQ(outcome(hand_made_delta(nodes, 0, 16, {0, 0})), Applied::refused);
@@ -286,7 +286,8 @@ TEST(Client, RefusesAHeaderOfAnotherVersionAndBadIds) {
   EXPECT_EQ(crumple_open(&options, &session), CRUMPLE_BAD_ARGUMENT);
 }
 
-// A server of the test's own, over the real network, and a viewer of its car "a": it can keep back what a line would lose.
+// The test's own server on the real network, and a viewer of its car "a". The server can hold back messages as if a link lost
+// them.
 struct OwnServer {
   std::unique_ptr<Net, decltype(&net_close)> net{nullptr, net_close};
   std::unique_ptr<Crumple, decltype(&crumple_close)> viewer{nullptr, crumple_close};
@@ -324,7 +325,7 @@ struct OwnServer {
       net_reply(net.get(), events[e].ticket, bytes.data(), bytes.size(), ++questions <= refuses);
     }
   }
-  // The tick that the viewer holds; 0: none.
+  // The tick of the viewer's surface; 0: none.
   uint64_t held() {
     crumple_poll(viewer.get(), 5'000);
     CrumpleSurface surface{};
@@ -339,7 +340,7 @@ struct OwnServer {
     crumple_statistics(viewer.get(), &statistics);
     return statistics.surface;
   }
-  // Until the viewer subscribes to the key, or no longer does.
+  // Waits until the viewer subscribes to the key, or no longer subscribes.
   bool heard(const char* key, bool wanted) {
     for (int k = 0; k < 3000 && (net_matching(net.get(), key) == 1) != wanted; ++k) held();
     return (net_matching(net.get(), key) == 1) == wanted;
@@ -363,7 +364,7 @@ TEST(Client, AsksForWhatHealthSaysThatItLost) {
   EXPECT_TRUE(server.comes_to_hold(9, true)) << "asked " << server.questions - asked << " times more";
 }
 
-// What a token says travels beside what a car is told by: either may come first.
+// A token and the messages of its car travel separately, so either may come first.
 TEST(Client, ACarIsAliveFromItsFirstKeyframeUntilItsTokenGoes) {
   const char *token = "crumple/1/main/car/a", *key = "crumple/1/main/car/a/key/0";
   OwnServer server;
@@ -403,7 +404,7 @@ TEST(Client, WhoGoesFarHoldsWhatItHadUntilTheFirstKeyframeOfThatLevelHoweverOld)
   ASSERT_EQ(crumple_follow(server.viewer.get(), "a", 1), CRUMPLE_OK);
   ASSERT_TRUE(server.heard(far_delta, true));
   ASSERT_TRUE(server.heard(near_delta, false)) << "what is not wanted is not sent";
-  // Against the keyframe that is held, if this were one level.
+  // A delta that would fit the held keyframe if both were of one level.
   const uint64_t before = server.surfaces();
   server.put(far_delta, delta(7, server.quanta, 5, server.quanta).front());
   for (int k = 0; k < 1000 && server.surfaces() == before; ++k) ASSERT_EQ(server.held(), 5u);
@@ -472,7 +473,8 @@ TEST(Client, ShowsNothingOldAsCurrentAfterAPause) {
   OwnServer server;
   ASSERT_NO_FATAL_FAILURE(server.start());
   ASSERT_TRUE(server.comes_to_hold(5, false)) << "the first keyframe";
-  // While the viewer sleeps the car crashes. It wakes up to the oldest message; the newest is not yet answered.
+  // The car crashes while the viewer sleeps. When it wakes up it first gets the oldest message; its query for the newest has no
+  // answer yet.
   server.tick = 6;
   server.put("crumple/1/main/car/a/key/0", keyframe(6, server.quanta).front());
   std::this_thread::sleep_for(std::chrono::milliseconds(700));
@@ -481,7 +483,7 @@ TEST(Client, ShowsNothingOldAsCurrentAfterAPause) {
   EXPECT_TRUE(server.comes_to_hold(60, false));
 }
 
-// A session without a network that follows a box car; its surface is what it is fed.
+// A session without a network that follows a box car. Its surface comes from crumple_feed.
 struct Fed {
   std::vector<std::byte> bytes = box_car_bytes({6, 3, 2});
   std::shared_ptr<const Car> car = read_car(bytes, "box");
@@ -561,7 +563,7 @@ TEST(Client, WithoutANetworkHoldsWhatItIsFed) {
   ASSERT_EQ(crumple_take_reactions(session, &taken, 1), 1u);
   EXPECT_EQ(taken.tick, 4u);
 
-  // What needs a network says so.
+  // Functions that need a network return an error.
   uint64_t ticket = 0;
   EXPECT_EQ(crumple_poll(session, 0), CRUMPLE_CLOSED);
   EXPECT_EQ(crumple_despawn(session, "a", &ticket), CRUMPLE_CLOSED);
@@ -579,7 +581,7 @@ TEST(Client, WithoutANetworkHoldsWhatItIsFed) {
 TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
   Fed fed;
   ASSERT_NO_FATAL_FAILURE(fed.start());
-  // Sheared: 1 m forward for each m above the ground, so that what looked forward looks forward and down.
+  // Sheared by 1 m forward for each m above the ground, so that a normal that pointed forward points forward and down.
   ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3& rest) {
     return std::array{int(std::lround(2000 * rest.z())), 0, 0};
   })),
@@ -608,7 +610,7 @@ TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
   }
   EXPECT_GT(forward, 0u) << "inside of the front";
 
-  // As members of a vertex of 8 floats, and not all of them.
+  // Some members of a vertex of 8 floats.
   std::vector<float> strided(8 * size_t{fed.mesh.vertex_count}, -7.0f);
   CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0, 0};
   ASSERT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_OK);
@@ -665,7 +667,7 @@ TEST(Client, ShowsWhatWasAtATimeAndTheWayBetweenTwoTicks) {
   EXPECT_NEAR(crumple_time(session), 100 / 60.0, 1e-9);
   EXPECT_FLOAT_EQ(shown(-6), 10) << "from now on it is remembered, though the time is not known yet";
   told(101, 20);
-  told(120, 40);  // it was still until then
+  told(120, 40);  // the car was at rest until then
   told(121, 80);
   EXPECT_FLOAT_EQ(fed.copy().displacement[0], 0.0005f * 80) << "the newest";
   EXPECT_FLOAT_EQ(shown(99), 10);
@@ -689,7 +691,7 @@ TEST(Client, ShowsWhatWasAtATimeAndTheWayBetweenTwoTicks) {
   ASSERT_EQ(crumple_surface(session, "a", &surface), CRUMPLE_OK);
   EXPECT_FALSE(surface.dirty);
 
-  // Half a second is kept, and the last before it.
+  // The session keeps half a second, and the last surface before it.
   for (uint64_t tick = 123; tick < 200; ++tick) told(tick, static_cast<int>(tick));
   EXPECT_NEAR(shown(125), 168, 1e-3f);
   EXPECT_NEAR(shown(170.5), 170.5f, 1e-3f);
@@ -716,7 +718,7 @@ TEST(Client, KnowsTheTimeOfTheServerWithinTheWayOfAMessage) {
   const double passed = std::chrono::duration<double>(std::chrono::steady_clock::now() - sent).count();
   EXPECT_GE(time, 120);
   EXPECT_LE(time, 120 + passed);
-  // What comes late makes it no earlier.
+  // A late message does not set the clock back.
   std::this_thread::sleep_for(std::chrono::milliseconds(50));
   const uint64_t before = server.surfaces();
   server.put("crumple/1/main/car/a/delta/0", delta(6001, server.quanta, 5, server.quanta).front());

@@ -1,4 +1,4 @@
-"""The examples of clients/cpp, unity, godot and unreal, as their manuals build them: against a real server.
+"""Runs the examples of clients/cpp, unity, godot and unreal against a real server, built as their manuals say.
 
     python tests/clients/clients_test.py build/crumple CAR build/clients/libcrumple_client.so [unittest's options]
 """
@@ -35,13 +35,13 @@ def first_code(readme, language):
 
 
 def commands(readme):
-    """Lines of the manual that are indented and begin with one of these."""
+    """Returns the indented lines of the manual that begin with one of these programs."""
     return re.findall(r"^    ((?:g\+\+|mcs|LD_LIBRARY_PATH|cp|godot|\(cd).*?)(?:   .*)?$", (ROOT / readme).read_text(), re.MULTILINE)
 
 
 class WithViewers(WithServer):
     def begin(self, *command):
-        """A viewer that prints something when it has its first surface."""
+        """Starts a viewer, which prints something when it has its first surface."""
         environment = {**os.environ, "LD_LIBRARY_PATH": str(CLIENTS)}
         viewer = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, text=True, env=environment)
         self.addCleanup(viewer.stdout.close)
@@ -55,8 +55,8 @@ class WithViewers(WithServer):
         return said
 
     def see_a_crash(self, viewers):
-        """What each viewer says of a car that crashes before its eyes and goes; with it the hash that the server told, and the
-        deepest dent of a viewer in Python, mm."""
+        """Crashes and despawns a car. Returns the output of each viewer, the server's hash, and the deepest dent of a viewer in
+        Python, mm."""
         host = self.enterContext(crumple.Session(self.endpoint, host="script", timeout=PATIENCE))
         self.asset = host.add_asset(CAR)
         host.spawn("car1", self.asset)
@@ -64,7 +64,7 @@ class WithViewers(WithServer):
         for viewer in viewers:
             self.assertTrue(viewer.stdout.readline(), "a viewer ended before it saw anything")
         last = self.crash(host)[-1].tick
-        host.until(lambda: host.health() and host.health().tick > last + 90, PATIENCE)  # whoever missed something asks by then
+        host.until(lambda: host.health() and host.health().tick > last + 90, PATIENCE)  # by then a viewer has asked for lost messages
         surface = host.until(lambda: host.surface("car1"), PATIENCE)
         moved = host.vertices("car1").displacement
         host.despawn("car1")
@@ -190,7 +190,7 @@ class Unreal(WithViewers):
 class Godot(WithViewers):
     def test_the_project_of_the_manual_draws_what_the_server_has(self):
         self.assertEqual(first_code("clients/godot/README.md", "gdscript"), (ROOT / "clients/godot/main.gd").read_text())
-        # A place where the commands of the manual hold as they are written.
+        # A folder in which the commands of the manual work without changes.
         (self.folder / "clients").mkdir()
         (self.folder / "clients/cpp").symlink_to(ROOT / "clients/cpp")
         (self.folder / "build").mkdir()
@@ -204,7 +204,8 @@ class Godot(WithViewers):
             command = command.replace("g++", "g++ -Wall -Wextra -Wpedantic -Werror")
             output("sh", "-c", f"cd {self.folder} && {command}", env=environment)
         self.assertEqual([editor, run], ["godot --path clients/godot --editor", "godot --path clients/godot -- tcp/127.0.0.1:7447 car1"])
-        # Its exit code says nothing: without a window it dies if it ends before it has documented a new extension (godot#111048).
+        # The exit code is ignored: without a window Godot crashes if it ends before it has documented a new extension
+        # (godot#111048).
         subprocess.run(["sh", "-c", f"cd {self.folder} && {editor} --headless --quit-after 200"], env=environment, timeout=PATIENCE,
                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         shutil.copytree(ROOT / "tests/clients/godot", project, dirs_exist_ok=True)

@@ -1,6 +1,6 @@
 #!/bin/sh
-# What a game's developer does: installs the client library, finds it by find_package, builds the example of its manual; and what
-# an operator does: installs the program, and starts it where it lies.
+# Does what a game's developer does: installs the client library, finds it by find_package, and builds the example of its manual.
+# Then does what an operator does: installs the program and starts it from the place of installation.
 #   install_test.sh BUILD_FOLDER SOURCE_FOLDER
 set -eu
 build=$1 source=$2

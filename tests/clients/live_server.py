@@ -1,4 +1,4 @@
-"""A server of its own for each test in Python, and a crash. The test's command line: crumple, a baked car, the client library."""
+"""Gives each test in Python its own server, and a crash. The test's command line: crumple, a baked car, the client library."""
 
 import pathlib
 import re
@@ -10,7 +10,7 @@ import unittest
 import crumple
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-PATIENCE = 120.0  # s for what must come
+PATIENCE = 120.0  # s for messages that must arrive
 PROGRAM, CAR, LIBRARY = (str(pathlib.Path(each).resolve()) for each in sys.argv[1:4])
 
 
@@ -32,8 +32,8 @@ class WithServer(unittest.TestCase):
         self.server.stdout.close()
 
     def crash(self, host):
-        """A wall 0.7 m before the nose of car1, the car at 15 m/s; until it has bounced off and nothing is told of it any more. Gives
-        all reactions."""
+        """Drives car1 at 15 m/s into a wall 0.7 m before its nose, until it has bounced off and gets no more reactions. Returns all
+        reactions."""
         nose = float(host.mesh(self.asset).vertex[:, 0].max())
         self.wall = crumple.Obstacle(7, crumple.Shape.box, (1.0, 5.0, 5.0), crumple.Pose((nose + 1.7, 0.0, 0.0)), 0.25)
         host.publish_obstacles([self.wall])

@@ -18,7 +18,7 @@ schema = pathlib.Path(sys.argv[1]) if len(sys.argv) > 1 else root / "schema"
 sys.path.insert(0, str(root / "schema"))
 from reference import declarations, fields  # noqa: E402
 
-# Where a message is: structs begin with a capital letter, functions do not; `spawn` is crumple_spawn in C and Spawn in C#.
+# Where clients have each message: structs begin with a capital letter, functions do not. `spawn` is crumple_spawn in C and Spawn in C#.
 CARRIED = {
     "Pose": ["Pose"],
     "CarPose": ["CarPose"], "Poses": ["publish_poses"], "Obstacle": ["Obstacle"], "Obstacles": ["publish_obstacles"],
@@ -47,7 +47,7 @@ NOT_CARRIED = {
     "Input": "only for servers that stand by", "Inputs": "only for servers that stand by",
     "C Solver": "an int, where -1 keeps the solver",
 }
-# Types that fit one of the schema, in C, C# and Python.
+# Types in C, C# and Python that match a type of the schema.
 FITTING = {
     "bool": ("int", "bool|int", "bool"), "byte": ("int", "int", "int"), "ushort": ("uint32_t", "uint", "int"),
     "uint": ("uint32_t", "uint", "int"), "ulong": ("uint64_t", "ulong", "int"), "float": ("float", "float", "float"),
@@ -66,7 +66,7 @@ def snake(name):
 
 
 def declared(text):
-    """Of `float a[3], b;` or `const char* car`: names with types."""
+    """Returns names with types of `float a[3], b;` or `const char* car`."""
     found = re.fullmatch(r"(.*?[\w\]>]\**)\s+(\w+(?:\[\d+\])?(?:, \w+(?:\[\d+\])?)*)", text.strip())
     names = [re.fullmatch(r"(\w+)(.*)", name).groups() for name in found[2].split(", ")] if found else []
     return {snake(name): found[1] + size for name, size in names}
@@ -147,7 +147,7 @@ def check(language, column, found, enums):
                 wrong.append(f"{language}: {name}.{field} is {' and '.join(types)}, which FITTING has not for {type_}")
 
 
-# C# hands its structs over as they are.
+# C# passes its structs without conversion.
 def check_layout(c, c_sharp):
     fits = {"uint64_t": "ulong", "uint32_t": "uint", "int": "int|Shape|Solver", "size_t": "UIntPtr", "float[3]": "Float3",
             "double[3]": "Double3", "float[4]": "Rotation", "CrumplePose": "Pose"}

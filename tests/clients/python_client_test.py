@@ -22,7 +22,7 @@ import zenoh
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-PATIENCE = 60  # s for a message that must come
+PATIENCE = 60  # s for a message that must arrive
 
 
 def table(name):
@@ -30,7 +30,7 @@ def table(name):
 
 
 def made(name, **fields):
-    """An object of the generated object API with these fields."""
+    """Makes an object of the generated object API with these fields."""
     module = importlib.import_module(f"crumple.schema.{name}")
     thing = getattr(module, name + "T")()
     for field, value in fields.items():
@@ -74,7 +74,7 @@ def order(session, key, kind, body):
     Order = importlib.import_module("crumple.schema.Order").Order
     command = packed(made("Command", orderType=getattr(Order, kind), order=body))
     deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline:  # until the session has heard of the server's queryable
+    while time.monotonic() < deadline:  # until the session knows the server's queryable
         for reply in session.get(key, payload=command, timeout=10):
             assert reply.ok is not None, bytes(reply.err.payload)
             answer = table("Answer").GetRootAs(bytes(reply.ok.payload))
@@ -84,7 +84,7 @@ def order(session, key, kind, body):
 
 
 def unpack(words, count):
-    """schema/message.fbs says how: blocks of 16 nodes, each axis in as many bits as it needs."""
+    """Unpacks as schema/message.fbs says: blocks of 16 nodes, each axis in as many bits as it needs."""
     out, last, at = [0] * (3 * count), [0, 0, 0], 0
     for first in range(0, count, 16):
         head, at = words[at], at + 1
@@ -101,7 +101,7 @@ def unpack(words, count):
 
 
 class Surface:
-    """Displacements in quanta, of the newest tick: keyframes replace them, deltas say what differs from the keyframe."""
+    """Displacements in quanta of the newest tick. Keyframes replace them; deltas give the differences from the keyframe."""
 
     def __init__(self):
         self.keyframe, self.key, self.now = None, [], []
@@ -117,7 +117,7 @@ class Surface:
 
     def take_delta(self, message):
         if message.Keyframe() != self.keyframe:
-            return  # its keyframe was lost, or is still to come
+            return  # its keyframe was lost, or has not come yet
         self.now = [(a + b + 32768) % 65536 - 32768 for a, b in zip(self.key, self.numbers(message))]
 
     def deepest(self):
@@ -135,13 +135,13 @@ def crash(session, asset):
     Shape = importlib.import_module("crumple.schema.Shape").Shape
     wall = made("Obstacle", id=1, shape=Shape.box, size=vec3(1.0, 5.0, 5.0), pose=pose(x=6.0), friction=0.3)
     surface, deltas, sequence = Surface(), 0, 0
-    for reply in session.get(root + "car/py1/key/0", timeout=10):  # as a viewer that comes late
+    for reply in session.get(root + "car/py1/key/0", timeout=10):  # like a viewer that starts late
         surface.take_keyframe(table("Keyframe").GetRootAs(bytes(reply.ok.payload)))
     assert surface.keyframe is not None and surface.deepest() == 0, "a car that was just spawned has no dent"
 
     start = time.monotonic()
     while time.monotonic() < start + PATIENCE and not (deltas and surface.deepest() > 20):
-        if not deltas:  # once it has hit something it goes its own way
+        if not deltas:  # after a contact the car follows its own motion
             sequence += 1
             obstacles.put(packed(made("Obstacles", sequence=sequence, obstacles=[wall])))
             x = 10.0 * (time.monotonic() - start)
@@ -164,7 +164,7 @@ def crash(session, asset):
 
 
 def explained(schema, data, folder):
-    """A message as JSON, by flatc and the schema that the recording carries: nothing else is known of it."""
+    """Converts a message to JSON with only flatc and the schema in the recording."""
     (folder / "own.bfbs").write_bytes(schema.data)
     (folder / "message.bin").write_bytes(data)
     flatc = pathlib.Path(sys.executable).parent / "flatc"
@@ -174,7 +174,7 @@ def explained(schema, data, folder):
 
 
 def by_index(path):
-    """All messages by the index at the end of the file, which has to agree with them."""
+    """Reads all messages by the index at the end of the file, and checks the index."""
     with open(path, "rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()

@@ -1,4 +1,4 @@
-"""The shared client library and the Python package on it, as they are installed: against a real server.
+"""Tests the installed Python package and its client library against a real server.
 
     python tests/clients/python_package_test.py build/crumple CAR build/clients/libcrumple_client.so [unittest's options]
 """
@@ -65,7 +65,7 @@ class TheReader(unittest.TestCase):
             claims = bytearray(path.read_bytes())
             with path.open("rb") as file:
                 chunk, = make_reader(file).get_summary().chunk_indexes
-            at = chunk.chunk_start_offset + 9 + 16  # two times stand before it
+            at = chunk.chunk_start_offset + 9 + 16  # two times precede it
             claims[at:at + 8] = (1000).to_bytes(8, "little")
             path.write_bytes(claims)
             refused(path)
@@ -122,7 +122,7 @@ class ThePackage(WithServer):
         with self.assertRaisesRegex(ValueError, "float32"):
             viewer.vertices("car1", crumple.Vertices(*[np.zeros((len(mesh.vertex), 3))] * 3))
 
-        # As it was: the same while nothing moves.
+        # The earlier surface is the same as long as nothing moves.
         past = viewer.vertices("car1", time=viewer.time - 0.1)
         np.testing.assert_array_equal(past.displacement, buffer["moved"])
         self.assertGreaterEqual(viewer.time, dent.tick / 60)
@@ -174,7 +174,7 @@ class ThePackage(WithServer):
             before = [tick for tick in walked if tick < life.spawned]
             self.assertTrue(all(walked[tick] is None for tick in before))
             self.assertTrue(all(recording.at(tick / recording.rate).cars() == [] for tick in before[:3]))
-            for tick in range(life.spawned, life.despawned, 5):  # seeking gives what going there gives
+            for tick in range(life.spawned, life.despawned, 5):  # seeking gives the same as playing up to there
                 sought = recording.at(tick / recording.rate).surface("car1")
                 self.assertEqual((sought.tick, sought.hash), (walked[tick].tick, walked[tick].hash))
                 self.assertEqual(told[sought.tick], sought.hash)

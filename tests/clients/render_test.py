@@ -1,4 +1,4 @@
-"""`crumple render` on the bundled recordings: what the pictures show, and what goes wrong.
+"""Tests `crumple render` with the recordings of the repository: the pictures, and the errors.
 
     python tests/clients/render_test.py build/crumple [unittest's options]
 """
@@ -37,7 +37,7 @@ def steel(pixels):
 
 
 def told(pattern):
-    """A number that `crumple info` tells of the pole."""
+    """Returns a number that `crumple info` prints about the pole's recording."""
     text = subprocess.run([PROGRAM, "info", POLE], text=True, capture_output=True, check=True).stdout
     return float(re.search(pattern, text).group(1))
 
@@ -154,7 +154,7 @@ class TheVerb(unittest.TestCase):
         done = self.render(POLE, *"-o out --from 0.7 --to 1.3 --speed 0.5 --fps 10 --size 240x136 --frames".split())
         self.assertEqual((done.returncode, done.stderr), (0, ""), done)
         self.assertEqual([each.name for each in self.folder.iterdir()], ["out"])
-        frames = [f"frame_{i:04}.png" for i in range(1, 14)]  # a frame each 0.05 s
+        frames = [f"frame_{i:04}.png" for i in range(1, 14)]  # one frame per 0.05 s
         self.assertEqual(sorted(each.name for each in (self.folder / "out").iterdir()),
                          ["animation.webp", "contact_sheet.jpg", *frames, "reactions.png"])
         with Image.open(self.folder / "out/animation.webp") as animation:

@@ -1,4 +1,4 @@
-"""Runs every command of a manual, one shell after another, as somebody would who copies them.
+"""Runs every block of commands of a manual in a new shell, like a reader who copies them.
 
     python tests/clients/tutorial_test.py clients/tutorial.md
 """

@@ -1,4 +1,4 @@
-// A baked car from a file, which is then hit.
+// Fuzzes a baked car from a file, and then hits the car.
 #include "car/car.h"
 
 #include <stdexcept>

@@ -1,4 +1,4 @@
-// All that a session of the client library takes in: samples, replies and tokens, in any order.
+// Fuzzes everything that a session of the client library receives: samples, replies and tokens, in any order.
 #define XXH_INLINE_ALL
 #include <xxhash.h>
 
@@ -19,7 +19,7 @@ constexpr uint64_t answer_ticket = 1, keyframe_ticket = 2, asset_ticket = 3;
 
 const std::string root = "crumple/1/main/";
 
-// which: bit 0 the car, bit 1 (of surfaces) whether the hash is made to fit, bit 7 whether a reply is an error.
+// which: bit 0: the car; bit 1, for surfaces: the hash is corrected; bit 7: the reply is an error.
 NetEvent event_of(const Part& part, std::string& key) {
   NetEvent event{};
   event.data = part.bytes.data();
@@ -77,7 +77,7 @@ NetEvent event_of(const Part& part, std::string& key) {
   return event;
 }
 
-// What the caller of the library sees of it all.
+// Calls the functions that show the result to the caller.
 void look(Crumple* handle, const Crumple& session) {
   const char* ids[64];
   const size_t count = std::min<size_t>(64, crumple_cars(handle, ids, 64));
@@ -107,7 +107,7 @@ void look(Crumple* handle, const Crumple& session) {
 }  // namespace
 
 bool client_run(Input input) {
-  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", nullptr, nullptr};  // what it asks for fails
+  const CrumpleOptions options{CRUMPLE_CLIENT_VERSION, 0, nullptr, "main", nullptr, nullptr};  // its queries fail
   Crumple* handle = nullptr;
   expect(crumple_open(&options, &handle) == CRUMPLE_OK, "a session without a network can be opened");
   const std::unique_ptr<Crumple, void (*)(Crumple*)> closer(handle, crumple_close);
@@ -121,7 +121,7 @@ bool client_run(Input input) {
     }
     session.answers[answer_ticket];
     session.following.tickets[keyframe_ticket] = "c0";
-    // The asset that these bytes are: what a hash names is what it says.
+    // The asset with these bytes: its name is their hash.
     char hash[17];
     std::snprintf(hash, sizeof hash, "%016llx",
                   static_cast<unsigned long long>(XXH64(part.bytes.data(), part.bytes.size(), 0)));

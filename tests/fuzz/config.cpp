@@ -1,4 +1,4 @@
-// What an operator's files may say: options (serve --config), and zenoh's own configuration (--network).
+// Fuzzes an operator's files: options (serve --config), and the configuration of Zenoh (--network).
 #include <cstring>
 #include <stdexcept>
 
@@ -16,7 +16,7 @@ bool config_run(Input input) {
     const char* arguments[] = {"crumple", "serve", "--car", baked.c_str(), "--config", path.c_str(), what};
     try {
       taken &= run(7, arguments) == 0;
-    } catch (const std::exception&) {  // main's
+    } catch (const std::exception&) {  // main catches it
       taken = false;
     }
   }

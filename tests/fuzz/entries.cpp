@@ -10,7 +10,7 @@
 
 namespace crumple::fuzz {
 
-// Of each NAME there are NAME_run and NAME_seeds, in NAME.cpp or with what is like it.
+// Each NAME has functions NAME_run and NAME_seeds, in NAME.cpp or beside a similar entry.
 #define ENTRIES(each)                                                                                                \
   each(key) each(tick) each(inputs) each(snapshot) each(surface) each(client) each(car) each(recording) each(config) \
       each(network) each(scene) each(regions)
@@ -25,7 +25,7 @@ constexpr Entry all[] = {ENTRIES(LIST)};
 
 std::span<const Entry> entries() { return all; }
 
-// libFuzzer looks at these beside the counters of the code.
+// libFuzzer watches these in addition to the counters of the code.
 #if defined(CRUMPLE_FUZZ)
 __attribute__((section("__libfuzzer_extra_counters")))
 #endif

@@ -1,6 +1,6 @@
-// Every entry of bytes that somebody else made, as a function of bytes: what libFuzzer feeds (libfuzzer.cpp), and what
-// fuzz_test.cpp feeds with the inputs that are kept in corpus/ENTRY. A refusal is a good end; a crash is not, nor is a broken
-// promise (expect).
+// Every reader of foreign bytes is an entry: a function of bytes. libFuzzer calls it with new inputs (libfuzzer.cpp), and
+// fuzz_test.cpp with the inputs in corpus/ENTRY. An entry may refuse its input, but it must not crash or break a promise
+// (expect).
 #pragma once
 
 #include <cstdint>
@@ -15,14 +15,14 @@ using Input = std::span<const uint8_t>;
 
 struct Entry {
   const char* name;
-  // Whether nothing of it was refused.
+  // True if the entry refused no part of the input.
   bool (*run)(Input);
-  // Good inputs, made by today's code, so that they fit it: where fuzzing begins.
+  // Good inputs, made by the present code so that they match it. Fuzzing starts with them.
   std::vector<std::vector<uint8_t>> (*seeds)();
 };
 std::span<const Entry> entries();
 
-// Throws Broken unless it holds.
+// Throws Broken unless the condition holds.
 struct Broken {
   std::string promise;
 };
@@ -30,11 +30,11 @@ inline void expect(bool holds, const std::string& promise) {
   if (!holds) throw Broken{promise};
 }
 
-// Tells libFuzzer of something new that it cannot see: what came of code that is built without its counters (Rust, flatc's
-// parser). Digits do not count as new.
+// Reports a result to libFuzzer that its counters cannot show, because the code (Rust, flatc's parser) is built without them.
+// Results that differ only in digits are not new.
 void saw(std::string_view);
 
-// A file that is nowhere on a disk.
+// A file in memory.
 class MemoryFile {
  public:
   explicit MemoryFile(Input = {});
@@ -48,10 +48,10 @@ class MemoryFile {
   int number_;
 };
 
-// An input that is a list of messages: each `kind`, `which`, its size (16 bits, little endian), its bytes.
+// An input that is a list of messages. Each has `kind`, `which`, its size (16 bits, little endian), and its bytes.
 struct Part {
   uint8_t kind = 0, which = 0;
-  std::vector<uint8_t> bytes;  // of its own, so that they are aligned as the transport's are
+  std::vector<uint8_t> bytes;  // a copy, so that they are aligned like the transport's
 };
 std::vector<Part> parts_of(Input);
 void put(uint8_t kind, uint8_t which, Input bytes, std::vector<uint8_t>& to);

@@ -1,5 +1,5 @@
-// The inputs that fuzzing has kept, and the good ones that it begins with, through every entry (tests/fuzz). What clang's
-// libFuzzer found once is so guarded by every build.
+// Runs every entry of tests/fuzz with the inputs in the corpus and with the good inputs. So every build tests again the errors
+// that libFuzzer once found.
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -19,7 +19,7 @@ class Fuzz : public testing::TestWithParam<Entry> {};
 // Whether nothing of it was refused.
 bool run(const Entry& entry, Input input, const std::string& name) {
   SCOPED_TRACE(name);
-  std::fprintf(stderr, "%s\n", name.c_str());  // should it end the program
+  std::fprintf(stderr, "%s\n", name.c_str());  // in case the entry ends the program
   testing::internal::CaptureStdout();
   std::string broken;
   bool taken = false;
@@ -33,7 +33,7 @@ bool run(const Entry& entry, Input input, const std::string& name) {
   return taken;
 }
 
-// What fuzzing begins with reaches what it is for.
+// The good inputs must reach the code that each entry tests.
 TEST_P(Fuzz, BeginsWithGoodInputs) {
   const auto seeds = GetParam().seeds();
   EXPECT_FALSE(seeds.empty());

@@ -1,4 +1,4 @@
-// What the owner of a scene sends to a server that stands by: the inputs of a tick.
+// Fuzzes the messages from the owner of a scene to a standby: the inputs of a tick.
 #include "fuzz/small_world.h"
 #include "host.h"
 #include "recording/recording.h"

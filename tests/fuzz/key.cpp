@@ -1,4 +1,4 @@
-// Keys of samples, questions and tokens, as zenoh brings them.
+// Fuzzes keys of samples, queries and tokens as Zenoh delivers them.
 #include "protocol/key.h"
 
 #include "fuzz/entries.h"
@@ -6,7 +6,7 @@
 namespace crumple::fuzz {
 namespace {
 
-// The one way to write what was parsed.
+// Writes the parsed key in its only form.
 std::string written(const Key& key) {
   const std::string id(key.id), number = std::to_string(key.number);
   switch (key.channel) {

@@ -1,5 +1,5 @@
-// crumple_fuzz: one entry under libFuzzer, the one that the environment's ENTRY names. With --seeds FOLDER instead it writes
-// the entry's seeds there, with --entries the names of all.
+// crumple_fuzz runs libFuzzer with the entry named by the environment variable ENTRY. With --seeds FOLDER it writes the entry's
+// good inputs to the folder instead. With --entries it prints the names of all entries.
 #include <unistd.h>
 
 #include <cstdio>
@@ -14,7 +14,7 @@ using namespace crumple::fuzz;
 
 namespace {
 const Entry* chosen = nullptr;
-int out = -1;  // stderr as it was before libFuzzer closed it for what is fuzzed
+int out = -1;  // a copy of stderr from before libFuzzer closed it for the tested code
 
 int write_seeds(const std::string& folder) {
   size_t number = 0;

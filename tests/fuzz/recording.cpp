@@ -1,4 +1,4 @@
-// A recording from a file, by every verb that reads one.
+// Fuzzes a recording from a file with every verb that reads one.
 #include "recording/recording.h"
 
 #include <cstring>
@@ -19,7 +19,7 @@
 namespace crumple::fuzz {
 namespace {
 
-// What the verb refuses is told to libFuzzer: half of it is said by Rust.
+// Reports refusals of the verb to libFuzzer, because half of them come from Rust.
 template <class Verb>
 bool try_verb(const Verb& verb) {
   try {
@@ -31,7 +31,8 @@ bool try_verb(const Verb& verb) {
   }
 }
 
-// Seeds are copies without schemas, which would be most of them, and without sums, so that a change of one byte is seen.
+// Good inputs are copies without schemas, which would be most of the bytes, and without checksums, so that a change of one byte
+// has an effect.
 struct Source {
   Reader* reader = nullptr;
   explicit Source(const std::string& path) { expect(reader_open(path.c_str(), &reader) == 0, "a seed can be read"); }
@@ -67,8 +68,8 @@ std::vector<uint8_t> compressed(const std::string& path) {
     uint64_t body = 0;
     std::memcpy(&body, &bytes[at + 1], sizeof body);
     const uint8_t opcode = bytes[at];
-    if (opcode == 0x06) std::memset(&bytes[at + 9 + 24], 0, 4);  // of a chunk, after two times and a size
-    if (opcode == 0x0f) std::memset(&bytes[at + 9], 0, 4);       // of all data
+    if (opcode == 0x06) std::memset(&bytes[at + 9 + 24], 0, 4);  // checksum of a chunk, after two times and a size
+    if (opcode == 0x0f) std::memset(&bytes[at + 9], 0, 4);       // checksum of all data
     at += 9 + body;
   }
   return bytes;
@@ -169,7 +170,7 @@ void record(const std::string& path, bool begun) {
     tick(*world, inbox, outbox, 1);
     for (const Message& message : outbox) recording.output(number, message, time);
     recording.end_tick(number, hash(*world), time);
-    recording.output(number, health(*world, 0, {}), time);  // as serve does
+    recording.output(number, health(*world, 0, {}), time);  // like serve
   }
 }
 

@@ -1,4 +1,4 @@
-// What somebody wrote by hand: scenes for `crumple drive`, and regions for `crumple bake`.
+// Fuzzes files that people write by hand: scenes for `crumple drive`, and regions for `crumple bake`.
 #include "cpp/scene.h"
 
 #include <filesystem>
@@ -11,7 +11,7 @@
 namespace crumple::fuzz {
 namespace {
 
-// After the file's name.
+// Reports the sentence without the file's name.
 bool saw_refusal(const std::exception& refused, const MemoryFile& file) {
   const std::string_view sentence = refused.what();
   saw(sentence.substr(std::min(sentence.size(), file.path().size())));

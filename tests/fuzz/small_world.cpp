@@ -72,7 +72,7 @@ const std::shared_ptr<const Car>& coarse_car() {
   return car;
 }
 
-// Of its own surface, so that it is no level of the others.
+// This car has its own surface, so that it is no level of the others.
 const std::shared_ptr<const Car>& uploaded_car() {
   static const auto car = read_car(box_car_bytes(cells, 1100, 4, cell), "given");
   return car;
@@ -105,7 +105,7 @@ WorldHandle small_world() {
 }
 
 void advance(World& world, Inbox inbox) {
-  inbox.push_back(budget_message(1));  // the fewest sweeps, whatever was asked for
+  inbox.push_back(budget_message(1));  // the fewest sweeps, whatever the cars ask for
   Outbox outbox;
   tick(world, inbox, outbox, 1);
   for (const Message& message : outbox) expect(is_what_readers_take(message), "readers take " + message.key);

@@ -1,4 +1,4 @@
-// A world that a tick of costs little: a car of 8 nodes and one of 12 that are levels of each other, few sweeps, one thread.
+// A world with cheap ticks: a car of 8 nodes and one of 12 that are levels of each other, few sweeps, one thread.
 #pragma once
 
 #include <memory>
@@ -11,8 +11,8 @@
 
 namespace crumple::fuzz {
 
-// In an input these stand for the hashes of the two cars and of one that may be given, which are other ones after a change of
-// how cars are baked.
+// In an input these names stand for the hashes of the two cars and of a car that may be uploaded, because the hashes change
+// whenever baking changes.
 inline constexpr char fine_asset[] = "0000000000000000", coarse_asset[] = "1111111111111111",
                       uploaded_asset[] = "2222222222222222";
 Bytes with_assets(Input);
@@ -23,9 +23,9 @@ const std::shared_ptr<const Car>& coarse_car();
 const std::shared_ptr<const Car>& uploaded_car();
 
 WorldHandle small_world();
-// One tick; its messages are what readers take, its numbers are finite, its counts agree.
+// Makes one tick. Expects that readers accept its messages, that its numbers are finite, and that its counts agree.
 void advance(World&, Inbox);
-// What it is can be saved and loaded.
+// Expects that the world can be saved and loaded.
 void expect_saved(const World&);
 
 }  // namespace crumple::fuzz

@@ -1,5 +1,5 @@
-// A whole world as bytes, as a server that stands by and a recording have it. Whoever makes such bytes up makes up their sum
-// too: whatever is loaded can be gone on with.
+// Fuzzes a whole world as bytes, as in a standby and a recording. An attacker can also forge the checksum, so any world that
+// can be loaded must be able to tick.
 #include "tick/snapshot.h"
 
 #include <stdexcept>

@@ -1,4 +1,4 @@
-// Keyframes and deltas as a viewer takes them.
+// Fuzzes keyframes and deltas in a viewer.
 #include "fuzz/surface.h"
 
 #define XXH_INLINE_ALL
@@ -45,7 +45,7 @@ void fit_hash(bool keyframe, const viewer::Surface& before, std::vector<uint8_t>
   table->SetField<uint64_t>(flatbuffers::voffset_t(field), XXH64(quanta.data(), 2 * quanta.size(), 0), 0);
 }
 
-// which: bit 0 whether the hash is made to fit.
+// which: bit 0: the hash is corrected.
 bool surface_run(Input input) {
   viewer::Surface surface;
   bool taken = true;

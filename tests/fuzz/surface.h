@@ -6,8 +6,7 @@
 
 namespace crumple::fuzz {
 
-// Whoever makes a keyframe or a delta up makes its hash up too: gives it the one that makes it whole, if it is a part of
-// anything.
+// An attacker can also forge the hash of a keyframe or delta. So this corrects the hash, if the message is a valid part.
 void fit_hash(bool keyframe, const viewer::Surface& before, std::vector<uint8_t>& bytes);
 
 }  // namespace crumple::fuzz

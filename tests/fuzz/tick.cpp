@@ -1,4 +1,4 @@
-// What hosts and viewers send, as messages into the ticks of a small world.
+// Fuzzes messages of hosts and viewers in the ticks of a small world.
 #include "fuzz/small_world.h"
 #include "host.h"
 #include "tick/health.h"
@@ -9,7 +9,7 @@ namespace {
 
 enum Kind : uint8_t { poses, obstacles, command, keyframe, named, end_of_tick, asset, kinds };
 
-// which: bit 0 the host, bit 1 the car.
+// which: bit 0: the host; bit 1: the car.
 std::string key_of(const Part& part) {
   const std::string host = part.which & 1 ? "host/h1" : "host/h0", car = part.which & 2 ? "car/c1" : "car/c0";
   switch (part.kind % kinds) {
@@ -50,7 +50,7 @@ bool tick_run(Input input) {
       advance(*world, std::move(inbox));
       inbox.clear();
       if (--left == 0) break;
-    } else if (Message message = message_of(part); message.key != "budget") {  // only the program sends that one
+    } else if (Message message = message_of(part); message.key != "budget") {  // only the program sends this key
       inbox.push_back(std::move(message));
     }
   }

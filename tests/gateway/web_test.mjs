@@ -1,11 +1,11 @@
-// The gateway for browsers and its page, as a newcomer has them: real server, real zenoh, `crumple view`.
-//   node tests/gateway/web_test.mjs client PROGRAM CAR WEB      the package in Node: same surface as the server's, also after the line was lost
-//   node tests/gateway/web_test.mjs page PROGRAM CAR WEB        the page in Chromium: shows a known crash as tests/gateway/web_page.png does; 77: no Chromium
-//   node tests/gateway/web_test.mjs compare PROGRAM CAR WEB     two recordings beside each other: difference and strain are those of their exported surfaces
-//   node tests/gateway/web_test.mjs repaint PROGRAM CAR WEB     a car painted anew again and again is shown, what it was is forgotten
+// Tests the gateway for browsers and its page with a real server, real Zenoh and `crumple view`.
+//   node tests/gateway/web_test.mjs client PROGRAM CAR WEB      the package in Node has the server's surface, also after a lost connection
+//   node tests/gateway/web_test.mjs page PROGRAM CAR WEB        the page in Chromium shows a known crash like tests/gateway/web_page.png; 77: no Chromium
+//   node tests/gateway/web_test.mjs compare PROGRAM CAR WEB     two recordings side by side: difference and strain match their exported surfaces
+//   node tests/gateway/web_test.mjs repaint PROGRAM CAR WEB     a car that is repainted many times is shown, and its earlier versions are dropped
 //   node tests/gateway/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
 //   node tests/gateway/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
-//   node tests/gateway/web_test.mjs keep PROGRAM CAR WEB        writes tests/gateway/web_page.png anew: look at it
+//   node tests/gateway/web_test.mjs keep PROGRAM CAR WEB        writes tests/gateway/web_page.png again; look at the picture
 // WEB: the folder build/web.
 import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
@@ -46,7 +46,7 @@ async function end(process) {
 }
 
 const view = (...options) => start("view", "--page", resolve(web, "index.html"), ...options);
-// At the address where one was before; while that is somebody else's, once more.
+// Starts at the address of an earlier gateway, and retries while another process has the address.
 async function viewAgain(host, ...options) {
   return until(`a gateway at ${host} again`, async () => {
     const gateway = view(...options, "--listen", host);
@@ -56,7 +56,7 @@ async function viewAgain(host, ...options) {
 }
 const address = (gateway) => said(gateway, /(http:\S+\/) in a browser/);
 
-// The status that a request with these headers gets.
+// Returns the status of a request with these headers.
 function status(url, headers) {
   return new Promise((done, failed) => {
     const asked = request(url, { headers }, (answer) => done(answer.statusCode));
@@ -75,7 +75,7 @@ async function checkWhoMayAsk(url) {
   assert.equal(await status(url, { Host: "another.example" }), 403, "a name of another site that leads here reads the scene");
 }
 
-// A browser that reads and never answers: how many batches it gets.
+// Returns how many batches a browser gets that reads and never answers.
 function neverAnswers(url) {
   const { hostname, port } = new URL(url);
   const socket = connect(port, hostname);
@@ -98,7 +98,7 @@ function neverAnswers(url) {
   };
 }
 
-// A message that is cut off is refused, or was whole but for a string's last zeros: no other surface comes of it.
+// A truncated message is refused, unless it lacks only the last zeros of a string. It never gives another surface.
 function checkPrefixes(made, name, message) {
   const whole = made();
   assert.equal(whole[name](message), "whole");
@@ -117,7 +117,7 @@ async function client() {
   await checkWhoMayAsk(url);
   await checkBombs();
 
-  // The messages of the last pair that gave a surface.
+  // The last keyframe and delta that gave a surface.
   let came = null, keyframe = null, delta = null;
   for (const name of ["takeKeyframe", "takeDelta"]) {
     const original = Surface.prototype[name];
@@ -135,7 +135,7 @@ async function client() {
   const dented = live.cars.get("dented");
   assert.ok(dented, "the car did not come");
 
-  // What another viewer, in C++, holds of it.
+  // The surface of another viewer, written in C++.
   const held = async () => {
     const watch = start("watch", "--once", ...options);
     assert.equal(await watch.ended, 0);
@@ -165,7 +165,7 @@ async function client() {
   assert.equal(mute.batches(), 4, "a browser that does not answer is sent more than it may have unanswered");
   mute.close();
 
-  // A late one gets everything; the first one comes back by itself after the gateway was gone, and holds the same.
+  // A late viewer gets everything. The first viewer reconnects by itself after the gateway was gone, and has the same surface.
   const late = new Live(url);
   await until("a late browser", () => late.cars.get("dented")?.surface.hash === dented.surface.hash && late.cars.get("dented").pose);
   late.close();
@@ -193,7 +193,8 @@ function chromium() {
   return names.flatMap((name) => folders.map((folder) => `${folder}/${name}`)).find((path) => existsSync(path));
 }
 
-// The hash of the last surface in a recording of one car, by the package in Node, which the other test compares with the server's.
+// Returns the hash of the last surface in a recording of one car, by the package in Node. The other test compares it with the
+// server's.
 async function lastHash(url) {
   const live = new Live(url);
   let last = null, over = false;
@@ -223,7 +224,7 @@ function checkFilm(recording, hash) {
   assert.throws(() => Film.read(new Uint8Array(1000)));
 }
 
-// A message of zeros, packed by zstd: much of one byte in each chunk's.
+// A message of zeros, packed by zstd: each chunk expands from a few bytes.
 async function checkBombs() {
   const require = createRequire(pathToFileURL(resolve(web, "package.json"))), { McapWriter, TempBuffer } = require("@mcap/core");
   const packed = async (data) => {
@@ -244,7 +245,7 @@ async function checkBombs() {
   }
 }
 
-// The same, written anew by another program: zstd is what such programs take unless told otherwise.
+// The same recording, rewritten by another program: such programs use zstd by default.
 async function inZstd(recording) {
   const require = createRequire(pathToFileURL(resolve(web, "package.json")));
   const { McapStreamReader, McapWriter, TempBuffer } = require("@mcap/core"), { decompress } = require("lz4js");
@@ -265,7 +266,7 @@ async function inZstd(recording) {
   return writable.get();
 }
 
-// A page at this address, and what its console says.
+// Opens a page at this address and collects the output of its console.
 async function openPage(path, url, options) {
   const { chromium: browsers } = createRequire(pathToFileURL(resolve(web, "package.json")))("playwright-core");
   const browser = await browsers.launch({
@@ -296,7 +297,7 @@ async function page(path, keep) {
   checkFilm(new Uint8Array(readFileSync(recording)), hash);
   checkFilm(await inZstd(new Uint8Array(readFileSync(recording))), hash);
   const { browser, opened, console_ } = await openPage(path, url, { viewport: { width: 560, height: 320 } });
-  // The crash is over: the page has its last surface, and the car stands. Then it is stopped there.
+  // Waits until the crash is over: the page has its last surface, and the car stands. Then stops the recording there.
   await opened.waitForFunction((wanted) => {
     const { live, shown } = window.crumple, [item] = shown.values();
     const whole = item?.mesh?.deepest > 0.1 && item.car.surface.hash === BigInt(`0x${wanted}`) && Math.hypot(...item.car.velocity) < 0.01;
@@ -308,12 +309,12 @@ async function page(path, keep) {
   for (const words of ["car", "km/h", "ms a tick", "solve", "bits a vertex"]) assert.ok(panel.includes(words), `the panel does not say "${words}": ${panel}`);
   assert.match(await opened.innerText("#credits"), /mononofu/, "whom to credit is not shown");
   await opened.evaluate(countStrains);
-  await opened.keyboard.press("c"); // colours by dent stay on for the picture: there a dent shows most
+  await opened.keyboard.press("c"); // colours stay on for the picture, because they show the dent best
   assert.equal(await opened.innerText("#legend"), "Dent\n0\n500 mm");
   await opened.keyboard.press("p");
   assert.ok(await opened.isHidden("#details"), "key P does not fold the panel");
 
-  // The same picture as the one that is kept, whatever the machine draws a little differently.
+  // The picture must equal the kept one, except for small differences between machines.
   const shot = `data:image/png;base64,${await opened.evaluate(() => window.crumple.picture())}`;
   const kept = resolve(here, "web_page.png");
   if (keep) writeFileSync(kept, Buffer.from(shot.split(",")[1], "base64"));
@@ -321,14 +322,14 @@ async function page(path, keep) {
   console.log(`hash ${hash}; the picture differs by ${(100 * difference.mean).toFixed(2)} % on average, by much in ${(100 * difference.far).toFixed(2)} % of it`);
   assert.ok(difference.mean < 0.012 && difference.far < 0.02, "the page draws another picture than tests/gateway/web_page.png");
 
-  // Strain is found once for each surface, while it is shown.
+  // The page computes the strain once for each surface, and only while it shows strain.
   const strains = () => opened.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(window.strains)))));
   assert.equal(await strains(), 0);
   await opened.keyboard.press("c");
   await opened.keyboard.press("ArrowLeft");
   assert.equal(await strains(), 1);
 
-  // The same recording as a file, put to a moment before the crash and to one after it.
+  // Opens the same recording as a file, and seeks to a moment before the crash and to one after it.
   await opened.setInputFiles("#file", recording);
   await opened.waitForFunction(() => window.crumple.film());
   for (const [time, dented] of [[2, true], [0.5, false]]) {
@@ -341,7 +342,7 @@ async function page(path, keep) {
     assert.ok(dented ? strained > 0.2 : strained < 1e-5, `strain of ${strained} where ${dented ? "a" : "no"} dent is`);
   }
 
-  // Where frames take long it draws less, and says so, until it is told to draw all.
+  // If frames take long, the page draws less and says so, until the user wants full quality.
   const says = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#link").textContent), pattern.source);
   await opened.evaluate(() => {
     const { renderer } = window.crumple, { render } = renderer;
@@ -364,7 +365,7 @@ async function page(path, keep) {
   await opened.evaluate(() => window.fast());
   await scrubTo(opened, 0.5);
 
-  // Beside the scene, which has stopped with the whole dent.
+  // Shows the recording beside the scene, which has stopped with the full dent.
   await opened.keyboard.press("b");
   await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
   const deepest = await opened.evaluate(() => [...window.crumple.comparison().pairs[0].shown].map(({ mesh }) => 1000 * mesh.deepest));
@@ -375,7 +376,7 @@ async function page(path, keep) {
   await opened.keyboard.press("b");
   assert.ok(await opened.isHidden("#comparison"), "key B does not end it");
 
-  // A second recording: beside the first, or alone.
+  // Opens a second recording, beside the first or alone.
   for (const [key, names] of [["Escape", 0], ["Enter", 2]]) {
     await opened.setInputFiles("#file", resolve(here, "../../recordings/built_in_pole.mcap"));
     await opened.waitForSelector("#choice[open]");
@@ -390,7 +391,7 @@ async function page(path, keep) {
   await end(gateway);
 }
 
-// What the page says of the only pair; waits until it does, as text comes four times a second. mm
+// Returns the page's figures of the only pair, mm. It waits for them, because the page updates text four times a second.
 async function differBy(opened, largest, rms = null) {
   const said = async () => (await opened.innerText("#comparison")).match(/differ by ([\d.]+) mm at most, ([\d.]+) mm RMS/)?.slice(1).map(Number);
   const near = (found, wanted) => wanted === null || Math.abs(found - wanted) < 0.1;
@@ -399,7 +400,7 @@ async function differBy(opened, largest, rms = null) {
     .catch(() => assert.fail(`the page says ${last}, not ${largest} mm at most and ${rms} mm RMS`));
 }
 
-// A recording as `crumple export` has it: when the car first touches something, and its surface after any tick (numbers of an OBJ).
+// Reads an exported recording: the time of the first contact, and the surface after any tick (numbers of an OBJ).
 async function exported(recording, folder) {
   assert.equal(await start("export", recording, "-o", folder, "--fps", "1000").ended, 0);
   const rows = readFileSync(`${folder}/reactions.csv`, "utf8").trim().split("\n").slice(1).map((row) => row.split(","));
@@ -415,7 +416,8 @@ async function exported(recording, folder) {
   };
 }
 
-// Of each vertex, slowly: how much longer or shorter the lines of its triangles have become, at most of all directions; by area.
+// Computes the strain of each vertex in a slow way: the largest change of length of a line in its triangles over all directions,
+// weighted by area.
 function strainOf(triangles, rest, now) {
   const minus = (a, b) => a.map((x, k) => x - b[k]), dot = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
   const sum = rest.map(() => 0), area = rest.map(() => 0);
@@ -435,7 +437,7 @@ function strainOf(triangles, rest, now) {
   return sum.map((x, v) => x / area[v]);
 }
 
-// In the page: counts from now on how often the strain of a car is found.
+// Runs in the page: counts from now on how often the page computes the strain of a car.
 function countStrains() {
   const made = Object.getPrototypeOf([...window.crumple.shown.values()][0].mesh), { strain } = made;
   window.strains = 0;
@@ -445,7 +447,7 @@ function countStrains() {
   };
 }
 
-// What the legend says: "Dent", 500, and the colours, as light.
+// Reads the legend: "Dent", 500, and the colours as linear light.
 async function readLegend(opened) {
   const [quantity, most, bar] = await opened.evaluate(() => [
     ...["#quantity", "#most"].map((id) => document.querySelector(id).textContent), getComputedStyle(document.querySelector("#legend i")).backgroundImage]);
@@ -461,7 +463,7 @@ function checkColours({ quantity, most, stops }, values, drawn) {
   });
 }
 
-// In the page: of each vertex of the pair's two cars the colour that it is drawn in.
+// Runs in the page: returns the colour of each vertex of the pair's two cars.
 function colours() {
   const [{ shown }] = window.crumple.comparison().pairs;
   return shown.map(({ mesh }) => {
@@ -472,7 +474,7 @@ function colours() {
   });
 }
 
-// In the page: which of the pair's cars each part of the next frame has, and whether that is the left part.
+// Runs in the page: returns the car of the pair in each part of the next frame, and whether this is the left part.
 function whereDrawn() {
   const { renderer, comparison } = window.crumple, [{ shown }] = comparison().pairs, { render } = renderer, parts = [];
   const place = { copy: (rectangle) => rectangle };
@@ -485,11 +487,11 @@ function whereDrawn() {
       renderer.render = render;
       done(parts);
     };
-    document.querySelector("#scrub").dispatchEvent(new Event("input")); // so that there is one
+    document.querySelector("#scrub").dispatchEvent(new Event("input")); // so that there is a next frame
   });
 }
 
-// In the page: a seek backwards makes the cars anew. Which of the pair have colours in the very first picture of them.
+// Runs in the page: a seek backwards creates the cars again. Returns which cars of the pair have colours in their first picture.
 function colouredAtFirst() {
   const { renderer, comparison } = window.crumple, { render } = renderer, [{ meshes: [before] }] = comparison().pairs;
   return new Promise((done) => {
@@ -519,7 +521,8 @@ async function comparison(path) {
   const { browser, opened, console_ } = await openPage(path, await said(gateway, /open (http:\S+) in a browser/), { viewport: { width: 820, height: 340 } });
   await opened.waitForFunction(() => window.crumple.comparison()?.pairs.length);
   assert.deepEqual((await opened.innerText("#names")).split(/\s+/), ["built_in_pole.mcap", "built_in_roof_drop.mcap"]);
-  // In ticks after the first contact: recordings begin with tick 1, and the later contact is where it is on the clock of both.
+  // Times are in ticks after the first contact. Recordings begin with tick 1, and on the common clock the later contact keeps its
+  // place.
   for (const after of [-2, 2, 1, 100]) {
     const wanted = apart(after);
     await scrubTo(opened, (Math.max(a.contact, b.contact) - 1 + after) / 60);
@@ -527,7 +530,7 @@ async function comparison(path) {
     console.log(`${after} ticks after contact: ${wanted.largest.toFixed(1)} mm at most, ${wanted.rms.toFixed(1)} mm RMS`);
   }
 
-  // Colours are those of the legend, at the lengths that it says.
+  // Colours match the legend at the lengths in it.
   const { lengths } = apart(100);
   const difference = await readLegend(opened);
   assert.equal(`${difference.quantity} ${difference.unit}`, "Difference mm");
@@ -535,7 +538,7 @@ async function comparison(path) {
   assert.deepEqual(await opened.evaluate(whereDrawn), [{ cars: [0], left: true }, { cars: [1], left: false }]);
   assert.deepEqual(await opened.evaluate(colouredAtFirst), [true, true], "where frames take long, that picture stays");
 
-  // Strain, of each of them by itself.
+  // Strain is shown for each of the two separately.
   await opened.keyboard.press("c");
   const strain = await readLegend(opened);
   assert.equal(`${strain.quantity} ${strain.unit}`, "Strain of the surface %");
@@ -553,13 +556,13 @@ async function comparison(path) {
   await opened.keyboard.press("c");
   assert.equal((await readLegend(opened)).quantity, "Difference");
 
-  // The same twice.
+  // Two copies of the same recording.
   await opened.setInputFiles("#file", [recordings[0], recordings[0]]);
   await opened.waitForFunction(() => new Set(window.crumple.comparison().names).size === 1);
   await scrubTo(opened, 2);
   await differBy(opened, 0, 0);
 
-  // On a phone: all that belongs to it is in the window.
+  // On a phone the whole comparison fits in the window.
   await opened.setViewportSize({ width: 390, height: 844 });
   for (const what of ["#names span:nth-child(1)", "#names span:nth-child(2)", "#scrub", "#speed", "#close", "#comparison", "#legend"]) {
     await until(`${what} in a phone's window`, () => opened.evaluate((selector) => {
@@ -577,7 +580,7 @@ async function comparison(path) {
 
 const none = "0000000000000000";
 
-// What is asked of a gateway, and with which status and sentence it is refused.
+// Requests to a gateway, with the status and the sentence of their refusal.
 async function checkRefusals(url, asset) {
   const ask = async (path, body, headers = {}) => {
     const answer = await fetch(new URL(path, url), { method: "POST", body, headers });
@@ -596,8 +599,8 @@ async function checkRefusals(url, asset) {
   return control;
 }
 
-// A pole comes along and hits what stands at the origin, at 8 m/s; how deep the dent of that car is then, m. It takes 1.1 s of the
-// server's, which may be 1.1 s behind when drive ends: so drive lasts longer, or the pole goes on into the next car.
+// A pole hits the car at the origin at 8 m/s. Returns the depth of the car's dent, m. The pole takes 1.1 s of the server's time,
+// and the server may be 1.1 s late when drive ends. So drive lasts longer; else the pole would hit the next car.
 async function hit(live, folder, options) {
   const scene = resolve(folder, "hit.json"), zero = { x: 0, y: 0, z: 0 };
   writeFileSync(scene, JSON.stringify({
@@ -613,7 +616,7 @@ async function hit(live, folder, options) {
 }
 
 const origin = { position: [0, 0, 0], orientation: [0, 0, 0, 1] };
-/** Baked cars that server and gateway keep beside those of the cars that live. */
+/** Number of baked cars that server and gateway keep in addition to those in use. */
 const given = 16, spare = 8;
 
 async function repaint() {
@@ -646,7 +649,7 @@ async function repaint() {
   await until("a late page", () => late.cars.get("painted")?.baked?.regions.includes(`part${given + 1}`));
   late.close();
 
-  // The server has forgotten the first ones too, but not those that live; the gateway asks again for what it has forgotten.
+  // The server has dropped the first baked cars too, but not those in use. The gateway asks again for a car that it has dropped.
   await assert.rejects(commander.replace("painted", hashes[1]), /not one of this server's/);
   await commander.replace("painted", hashes[0]);
   await until("what it was at first", () => painted.baked?.regions.every((name) => !name.startsWith("part")));
@@ -657,7 +660,7 @@ async function repaint() {
   await end(server);
 }
 
-// In the page: how many corners of the mask have each colour.
+// Runs in the page: counts the corners of the mask by colour.
 function tints() {
   const [{ group, mesh }] = window.crumple.shown.values(), counts = {};
   const { color } = group.children.find((child) => child !== mesh && child.visible && child.geometry?.attributes.color).geometry.attributes;
@@ -668,7 +671,7 @@ function tints() {
   return counts;
 }
 
-// Two fingers near the view by going apart, and turn it by going along, as on a phone.
+// Two fingers that move apart bring the view nearer, and two fingers that move together turn it, as on a phone.
 async function twoFingers(opened) {
   const session = await opened.context().newCDPSession(opened);
   const touch = (type, ...fingers) => session.send("Input.dispatchTouchEvent", { type, touchPoints: fingers.map((x, id) => ({ x, y: 200, id })) });
@@ -729,7 +732,7 @@ async function controlIn(path, folder) {
   await opened.waitForFunction(() => window.crumple.tools() && [...window.crumple.shown.values()][0]?.mesh);
   const answered = (pattern) => opened.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#tool-answer").textContent), pattern.source);
 
-  // Painted: a region in a stroke, another that is undone, by touch; and an anchor.
+  // Paints a region in a stroke, then another by touch, which is undone, and an anchor.
   await opened.click("#paint summary");
   await opened.click("#paint-on");
   await opened.waitForFunction(() => window.crumple.tools().paint.showing);
@@ -768,7 +771,7 @@ async function controlIn(path, folder) {
   await twoFingers(opened);
   assert.equal(await legend(), "hood\ncell, anchored", "two fingers paint");
 
-  // Re-baked: the car in the scene is what the program bakes of the saved regions.
+  // After re-baking, the car in the scene equals the car that the program bakes with the saved regions.
   await opened.click("#paint-bake");
   await answered(/is now [0-9a-f]{16}: body, hood, cell;/);
   const regions = await download(opened, "#paint-save", resolve(folder, "regions.json"));
@@ -781,7 +784,7 @@ async function controlIn(path, folder) {
   assert.notEqual(hash, asset);
   await until("the painted car in the scene", () => live.cars.get("painted")?.surface.asset === hash);
 
-  // Hit, and hit again when a slider has made it stiff: the server has taken what the page sent.
+  // The car is hit, and hit again after a slider has made it stiff: the server has taken the parameters from the page.
   const soft = await hit(live, folder, options);
   await commander.despawn("painted");
   await commander.spawn("painted", hash, "page", origin);
@@ -811,7 +814,7 @@ async function controlIn(path, folder) {
   await browser.close();
   live.close();
 
-  // What happened is in the recording, the painted car too.
+  // The recording has everything, also the painted car.
   await end(gateway);
   assert.equal(await end(server), 0);
   const verified = start("replay", recording, "--verify");
@@ -824,7 +827,7 @@ async function controlIn(path, folder) {
 
 // ---- the package's manual ----
 
-// Its page, by its commands as they stand, but for npm's part, which needs the network: those packages are linked from WEB.
+// Makes the page of the manual with the manual's commands. Only npm's packages are linked from WEB, because npm needs the network.
 async function manual(path) {
   const root = resolve(here, "../.."), folder = resolve(root, "build/mine"), packages = `${folder}/node_modules`;
   const text = readFileSync(resolve(root, "clients/web/README.md"), "utf8");
@@ -850,8 +853,8 @@ async function manual(path) {
   await end(gateway);
 }
 
-// In the page, which draws before this in each frame: the largest share of the picture that is red, as that car is, and a smaller one.
-// The camera goes with the car, so that there is less of it only when it is crushed.
+// Runs in the page, after its drawing in each frame: returns the largest share of red pixels (the car is red), and a later smaller
+// one. The camera follows the car, so the share shrinks only if the car is crushed.
 function sizes() {
   const canvas = document.querySelector("canvas"), { width, height } = canvas;
   const pen = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
@@ -871,7 +874,7 @@ function sizes() {
   });
 }
 
-// In the page: mean difference of two pictures, and the share of pixels that differ by more than a fifth.
+// Runs in the page: returns the mean difference of two pictures, and the share of pixels that differ by more than a fifth.
 async function compare(pictures) {
   const [a, b] = await Promise.all(pictures.map(async (source) => {
     const picture = new Image();

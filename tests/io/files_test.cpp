@@ -1,5 +1,5 @@
-// Files that are none, that never end, that change while they are used, and disks without room: a sentence, and nothing half
-// done.
+// Tests paths that are no regular files, files that never end or that change while they are used, and full disks: each gives an
+// error sentence and leaves nothing half done.
 #include "io/files.h"
 
 #include <gtest/gtest.h>
@@ -22,7 +22,7 @@
 namespace crumple {
 namespace {
 
-// As long as it lives, no file of this process and its children grows beyond 1 KiB.
+// While this object lives, no file of this process and its children grows beyond 1 KiB.
 struct FullDisk {
   rlimit before{};
   sighandler_t handler = std::signal(SIGXFSZ, SIG_IGN);
@@ -59,7 +59,7 @@ TEST(Files, OfALargerFileThanThereIsRoomForNothingIsTaken) {
   const auto path = files.write("text", std::string(1000, 'x'));
   EXPECT_EQ(read_file(path, 1000, "no").size(), 1000u);
   expect_sentence(refusal([&] { (void)read_file(path, 999, "make it smaller"); }), "text", "larger than the 999 bytes");
-  EXPECT_EQ(read_file("/proc/self/stat", 100'000, "no").empty(), false);  // claims to be of 0 bytes
+  EXPECT_EQ(read_file("/proc/self/stat", 100'000, "no").empty(), false);  // claims to have 0 bytes
   expect_sentence(refusal([&] { (void)read_file("/proc/self/stat", 3, "make it smaller"); }), "stat",
                   "larger than the 3 bytes");
   std::filesystem::resize_file(files.write("large.car", ""), asset_limit + 1);
@@ -92,7 +92,7 @@ TEST(Files, ADiskWithoutRoomIsSaidAndNothingIsLeftOnIt) {
 TEST(Files, ADeviceIsWrittenToAndStays) {
   const Files files;
   const auto full = files.folder.path / "full";
-  std::filesystem::create_symlink("/dev/full", full);  // by this name, so that it is no harm to replace it
+  std::filesystem::create_symlink("/dev/full", full);  // a link, so that replacing it does no harm
   expect_sentence(refusal([&] { write_car(*box_car(), full); }), "full", "No space left on device");
   EXPECT_EQ(names_in(files.folder.path), std::set<std::string>{"full"});
   EXPECT_TRUE(std::filesystem::is_symlink(full));
@@ -100,7 +100,7 @@ TEST(Files, ADeviceIsWrittenToAndStays) {
 
 class FilesOfVerbs : public Program {
  protected:
-  // Exit code and words; a verb that waits for ever is killed.
+  // Returns exit code and output. A verb that waits for ever is killed.
   static Outcome ended(std::vector<std::string> arguments) {
     Process process(std::move(arguments));
     if (!process.read_until("\n")) process.send(SIGKILL);
@@ -155,7 +155,7 @@ TEST_F(FilesOfVerbs, AnExportOrARecoveryThatFindsNoRoomLeavesNoFile) {
   EXPECT_EQ(names_in(path("films")), std::set<std::string>{});
 }
 
-// Whoever writes to it may be broken, and never end.
+// The writer of the pipe may be broken and never end.
 TEST(Files, APipeIsReadToItsEndOrItsBound) {
   for (const size_t most : {size_t{300'000}, size_t{299'999}, size_t{0}}) {
     int ends[2];

@@ -1,6 +1,5 @@
-// Both doors for HTTP, --metrics and the gateway for browsers, as whoever reaches their port may treat them: raw sockets on
-// loopback that ask for more than a reader needs. Whatever they do, memory stays flat, another reader is answered at once, and
-// the door closes when its owner says so.
+// Attacks both HTTP servers (--metrics and the gateway for browsers) with raw sockets on loopback. Under every attack memory
+// must stay flat, another reader must get its answer at once, and the server must close when its owner says so.
 #include <arpa/inet.h>
 #include <fcntl.h>
 #include <netinet/in.h>
@@ -21,14 +20,14 @@ namespace {
 
 using std::chrono::seconds;
 
-constexpr seconds promptly{3};  // an answer of a door under attack: milliseconds, on a machine under load too
+constexpr seconds promptly{3};  // for an answer under attack: it takes milliseconds, also on a loaded machine
 #ifdef __SANITIZE_ADDRESS__
-constexpr size_t flat = size_t{1} << 30;  // the sanitizer keeps what is freed
+constexpr size_t flat = size_t{1} << 30;  // the sanitizer keeps freed memory
 #else
-constexpr size_t flat = size_t{64} << 20;  // bytes that a door may have more than before, whatever comes
+constexpr size_t flat = size_t{64} << 20;  // bytes by which a server may grow under any attack
 #endif
 
-// Of a process, in bytes: "VmRSS" is what it has, "VmHWM" the most that it had since forget_most().
+// Memory of a process, in bytes: "VmRSS" is its present memory, "VmHWM" its largest since forget_most().
 size_t memory(const char* what, const std::string& process = "self") {
   std::ifstream file("/proc/" + process + "/status");
   for (std::string word; file >> word;) {
@@ -40,7 +39,7 @@ size_t memory(const char* what, const std::string& process = "self") {
 }
 void forget_most() { std::ofstream("/proc/self/clear_refs") << "5"; }
 
-// One end of a connection that keeps to no rules.
+// One end of a connection that breaks all rules.
 class Line {
  public:
   explicit Line(const std::string& address, const char* from = "127.0.0.1", int receive_buffer = 0) {
@@ -66,7 +65,7 @@ class Line {
     return *this;
   }
 
-  // What the other end took: less than all if it is gone, or took nothing for as long as `each`.
+  // Returns how much the other end took: less than all if it is gone, or took nothing for the time `each`.
   size_t send(std::string_view bytes, std::chrono::milliseconds each = promptly) {
     size_t sent = 0;
     while (sent < bytes.size()) {
@@ -82,7 +81,7 @@ class Line {
   }
   void ends_sending() const { shutdown(socket_, SHUT_WR); }
 
-  // Reads until `wanted` has come, the end, or the deadline.
+  // Reads until `wanted` has come, the connection ends, or the deadline passes.
   std::string read(const std::string& wanted = std::string(1, '\0'), seconds within = promptly) {
     const auto deadline = Clock::now() + within;
     std::string text;
@@ -96,7 +95,7 @@ class Line {
     }
     return text;
   }
-  // True once the other end is gone; what still comes is dropped.
+  // Returns true once the other end is gone. Drops data that still arrives.
   bool ended(Clock::time_point deadline) {
     char chunk[65536];
     for (;;) {
@@ -105,7 +104,7 @@ class Line {
       if (size < 0 && !waits_for(POLLIN, deadline)) return false;
     }
   }
-  // The same without reading: by what the kernel says.
+  // The same without reading: asks the kernel.
   bool was_reset(Clock::time_point deadline) {
     while (Clock::now() < deadline) {
       pollfd waiting{socket_, POLLRDHUP, 0};
@@ -128,7 +127,7 @@ std::string head(const std::string& path, const std::string& more = "") {
   return "GET " + path + " HTTP/1.1\r\nHost: 127.0.0.1\r\n" + more + "\r\n";
 }
 
-// The whole answer; what came of it until the deadline.
+// Returns the whole answer, or the part of it that came until the deadline.
 std::string get(const std::string& address, const std::string& path, const char* from = "127.0.0.1") {
   Line line(address, from);
   line.send(head(path, "Connection: close\r\n"));
@@ -139,7 +138,7 @@ const std::string upgrade = head("/live",
                                  "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
                                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n");
 
-// A WebSocket at /live; `answer` is the head that it got.
+// A WebSocket at /live; `answer` is the head of the server's answer.
 Line open_live(const std::string& address, std::string& answer, const char* from = "127.0.0.1") {
   Line line(address, from);
   line.send(upgrade);
@@ -147,7 +146,7 @@ Line open_live(const std::string& address, std::string& answer, const char* from
   return line;
 }
 
-// A frame with the payload, which need not be as long as the frame announces; a browser masks, here with zeros.
+// A frame with a payload, whose length may differ from the announced one. Browsers mask frames; this one masks with zeros.
 std::string frame(int first, uint64_t announced, const std::string& payload, bool masked = true) {
   const int mask = masked ? 0x80 : 0;
   std::string bytes(1, static_cast<char>(first));
@@ -168,7 +167,7 @@ double shown(const std::string& page, const std::string& metric) {
   return at == page.npos ? -1 : std::stod(page.substr(at + metric.size() + 2));
 }
 
-// Both doors, in this process.
+// Both servers, in this process.
 class Http : public testing::Test {
  protected:
   void SetUp() override {
@@ -181,7 +180,7 @@ class Http : public testing::Test {
     ASSERT_EQ(web_page(web_, "/", "text/html", "<p>a page", 9), 0);
     ASSERT_EQ(web_set(web_, "key", "bytes", 5), 0);
     metrics = metrics_address(metrics_), web = web_address(web_);
-    answers();  // has its threads and buffers from here on
+    answers();  // from here on it has its threads and buffers
     forget_most();
     before_ = memory("VmRSS");
   }
@@ -195,7 +194,7 @@ class Http : public testing::Test {
     const size_t most = memory("VmHWM");
     return most > before_ ? most - before_ : 0;
   }
-  // Law of every test: another reader is answered, promptly, and memory is flat.
+  // The law of every test: another reader gets a prompt answer, and memory is flat.
   void answers(const char* from = "127.0.0.1") const {
     for (const auto& [address, path] : {std::pair{metrics, "/metrics"}, {web, "/"}}) {
       const auto asked = Clock::now();
@@ -344,7 +343,7 @@ TEST_F(Http, AReaderThatTakesNothingIsLetGo) {
   std::string heads;
   while (heads.size() < 16 << 20) heads += head("/metrics");
   many.send(heads, std::chrono::seconds(1));
-  // Silent but for pings: nothing is answered.
+  // Sends only pings and never answers a batch.
   std::string answer;
   Line pings = open_live(web, answer);
   const auto begun = Clock::now();
@@ -426,7 +425,7 @@ TEST_F(Http, ALargeStateReachesManyBrowsersInPieces) {
   answers();
   const size_t most = memory("VmHWM");
   EXPECT_LT(most - before, flat) << ((most - before) >> 20) << " MiB more for 50 who read nothing";
-  // Who answers gets all of it, once.
+  // A browser that answers gets everything once.
   Line reader = open_live(web, answer);
   size_t came = 0;
   for (std::string got = answer.substr(answer.find("\r\n\r\n") + 4);;) {
@@ -444,7 +443,7 @@ TEST_F(Http, ALargeStateReachesManyBrowsersInPieces) {
 
 class HttpProgram : public Program {
  protected:
-  // Ends by itself in time, or is killed and gives -9.
+  // Returns the exit code if the process ends in time; else kills it and returns -9.
   int ends(Process& process) {
     const std::string stat = "/proc/" + std::to_string(process.id()) + "/stat";
     const auto deadline = Clock::now() + promptly;
@@ -461,7 +460,7 @@ class HttpProgram : public Program {
     }
     return process.wait();
   }
-  // Of the processor, in the threads of a door.
+  // Processor time in the threads of a server.
   double http_seconds(const Process& process) {
     double ticks = 0;
     for (const auto& task : std::filesystem::directory_iterator("/proc/" + std::to_string(process.id()) + "/task")) {
@@ -532,7 +531,7 @@ TEST_F(HttpProgram, AGatewayOutlivesBrowsersThatHangUpInTheMiddle) {
   for (int i = 0; i < 1'000; ++i) {
     Line line(web);
     line.send(many);
-    if (i % 2) line.read("\n");  // what it has not read then resets the connection
+    if (i % 2) line.read("\n");  // unread data then resets the connection
   }
   EXPECT_TRUE(get(web, "/").starts_with("HTTP/1.1 200 OK"));
   gateway.send(SIGTERM);
@@ -555,7 +554,7 @@ TEST_F(HttpProgram, AGatewaySaysOnceThatItRefusesBrowsers) {
 
 // ---- whatever comes ---------------------------------------------------------------------------------------------------------
 
-// The seed is printed; CRUMPLE_HTTP_SEED gives it again.
+// The test prints its seed; CRUMPLE_HTTP_SEED sets it.
 uint64_t seed_of_today() {
   const char* given = std::getenv("CRUMPLE_HTTP_SEED");
   const uint64_t seed = given ? std::strtoull(given, nullptr, 10) : std::random_device{}();
@@ -651,7 +650,7 @@ std::string changed_request(Random& random) {
   return text;
 }
 
-// Sends each of so many, leaves some lines open, and ends others in the ways a reader can.
+// Sends many random requests, leaves some connections open, and ends others in every way that a reader can.
 void pester(Random& random, int times, const std::function<Line()>& open, const std::function<std::string()>& bytes,
             const std::function<void()>& check) {
   std::vector<Line> kept;

@@ -1,5 +1,6 @@
-// The transport room against its header: real zenoh sessions on loopback in one process, real files in the test's folder.
-// In: the headers of server/io only. Waits are for a message or a count, with a deadline; none sleeps and none asserts a time.
+// Tests server/io against its headers: real Zenoh sessions on loopback in one process, and real files in the test's folder. It
+// includes only the headers of server/io. Each test waits for a message or a count with a deadline, never sleeps, and checks no
+// times.
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 
@@ -22,7 +23,7 @@
 namespace crumple {
 namespace {
 
-// Rust's structs must have the layout of the header's; transport/src/lib.rs asserts the same numbers.
+// Rust's structs must have the layout of the structs in the header. The Rust code asserts the same numbers.
 static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 96 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
@@ -47,7 +48,7 @@ Session open_client(const Session& server, const char* config = nullptr) {
   return Session(net);
 }
 
-// An event with its own copy of what it points to.
+// An event with its own copies of its data.
 struct Kept {
   uint32_t kind, failed;
   std::string key, data;
@@ -68,7 +69,7 @@ std::vector<Kept> poll(const Session& net, uint64_t timeout_us = 20000, uint32_t
   return kept;
 }
 
-// Polls until `wanted` events came or the deadline passed.
+// Polls until `wanted` events have come or the deadline has passed.
 std::vector<Kept> collect(const Session& net, size_t wanted) {
   std::vector<Kept> all;
   for (const auto end = Clock::now() + deadline; all.size() < wanted && Clock::now() < end;) {
@@ -77,7 +78,7 @@ std::vector<Kept> collect(const Session& net, size_t wanted) {
   return all;
 }
 
-// `idle` is polled meanwhile: a session that receives nothing.
+// Meanwhile it polls `idle`, a session that receives nothing.
 bool wait_until(const Session& idle, const std::function<bool()>& holds) {
   for (const auto end = Clock::now() + deadline; Clock::now() < end; poll(idle, 2000)) {
     if (holds()) return true;
@@ -191,7 +192,7 @@ TEST(Net, HearsNothingMoreOfWhatItUnsubscribedAndMaySubscribeAgain) {
   ASSERT_EQ(net_subscribe(client.get(), "t/rest", 8, NET_LONGEST), TRANSPORT_OK);
   for (int k = 0; k < 3; ++k) {
     ASSERT_EQ(net_subscribe(client.get(), "t/u", k == 0 ? 0 : 8, NET_LONGEST),
-              TRANSPORT_OK);  // its place in the inbox is taken again
+              TRANSPORT_OK);  // its place in the inbox is free again
     ASSERT_TRUE(wait_for_subscriber(server, "t/u") && wait_for_subscriber(server, "t/rest"));
     const uint64_t before = stats_of(client).received;
     for (const char* each : {"heard", "heard as well"}) ASSERT_EQ(put(server, "t/u", each), TRANSPORT_OK);
@@ -220,7 +221,7 @@ TEST(Net, DoesNotHearItself) {
   EXPECT_TRUE(poll(server, 0).empty());
 }
 
-// Asks until the queryable is known at the asker: the first questions may come before its declaration.
+// Asks until the asker knows the queryable: the first queries may come before its declaration.
 std::vector<Kept> ask(const Session& asker, const Session& answerer, const char* key, const std::string& data, int failed) {
   for (const auto end = Clock::now() + deadline; Clock::now() < end;) {
     uint64_t ticket = 0;
@@ -270,7 +271,7 @@ TEST(Net, EndsAQuestionThatNobodyAnswers) {
   EXPECT_EQ(events[0].kind, NET_REPLY_END);
   EXPECT_EQ(events[0].ticket, ticket);
 
-  // A queryable that takes the question and stays silent: zenoh reports the timeout as a failed answer, then comes the end.
+  // A queryable takes the query and stays silent: Zenoh reports the timeout as a failed answer, then the end.
   ASSERT_EQ(net_queryable(server.get(), "q/silent", 4, NET_LONGEST), TRANSPORT_OK);
   ASSERT_EQ(ask(client, server, "q/silent", "known", 0).size(), 2u);
   ASSERT_EQ(net_get(client.get(), "q/silent", nullptr, 0, 100, &ticket), TRANSPORT_OK);
@@ -294,7 +295,7 @@ TEST(Net, RefusesQueriesBeyondItsDepthAndSaysSo) {
   uint64_t first = 0, second = 0;
   ASSERT_EQ(net_get(client.get(), "q/busy", "1", 1, 10000, &first), TRANSPORT_OK);
   ASSERT_EQ(net_get(client.get(), "q/busy", "2", 1, 10000, &second), TRANSPORT_OK);
-  const std::vector<Kept> events = collect(client, 2);  // of the second only: the first waits for its answer
+  const std::vector<Kept> events = collect(client, 2);  // only the second query's events: the first waits for its answer
   ASSERT_EQ(events.size(), 2u);
   EXPECT_EQ(events[0].ticket, second);
   EXPECT_EQ(events[0].failed, 1u);
@@ -380,7 +381,7 @@ TEST(Net, AnAskerThatTakesNothingHoldsUpNoOtherAnswer) {
   ASSERT_EQ(net_get(other.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
   const std::vector<Kept> second = collect(server, 1);
   ASSERT_EQ(second.size(), 1u);
-  const std::string more(size_t{60} << 20, 'x');  // than all buffers of a line hold
+  const std::string more(size_t{60} << 20, 'x');  // more than all buffers of a link hold
   ASSERT_EQ(net_reply(server.get(), first[0].ticket, more.data(), more.size(), 0), TRANSPORT_OK);
   ASSERT_EQ(net_reply(server.get(), second[0].ticket, "1", 1, 0), TRANSPORT_OK);
   const std::vector<Kept> answer = collect(other, 1);
@@ -454,7 +455,7 @@ TEST(Net, ClosesEitherEndWhileTrafficFlows) {
   EXPECT_GE(collect(stays, 10).size(), 10u);
   stop = true;
   pump.join();
-  server.reset();  // with samples still queued
+  server.reset();  // while samples are queued
   poll(stays, 0);
 }
 
@@ -475,10 +476,10 @@ TEST(Net, LeavesTheQueueBoundedWhenTheCallerIsFasterThanTheNetwork) {
   EXPECT_EQ(stats.put + stats.put_dropped, calls);
 }
 
-// A scene that runs for a month with new cars each second: what they were told under their ids goes with them.
+// A scene runs for a month with new cars each second: the keys of their ids must go with them.
 TEST(Net, PublishesOnSoManyKeysAndWithdrawsThoseThatNobodyNeeds) {
   const Session peer = open_peer();
-  // In branches of 90: zenoh compares a new key with each that stands beside it, and 8,192 of those take seconds.
+  // Keys are in branches of 90, because Zenoh compares a new key with all its siblings, and 8,192 siblings take seconds.
   const auto id = [](int k) { return "t/" + std::to_string(k / 90) + "/" + std::to_string(k % 90) + "/"; };
   const auto key_of = [&](int k) { return id(k) + "key"; };
   ASSERT_EQ(put(peer, "t/stays", "x"), TRANSPORT_OK);
@@ -506,12 +507,12 @@ TEST(Net, PublishesAnewOnAKeyThatWasWithdrawn) {
   EXPECT_EQ(came[0].data, "again");
 }
 
-// A game that has the client library handles no SIGPIPE.
+// A game with the client library does not handle SIGPIPE.
 TEST(Net, NoThreadOfASessionIsEndedByAPeerThatHangsUp) {
   const Session peer = open_peer(), client = open_client(peer);
   int writers = 0;
   const auto until = std::chrono::steady_clock::now() + std::chrono::seconds(10);
-  while (writers < 4 && std::chrono::steady_clock::now() < until) {  // a thread bears its name only once it runs
+  while (writers < 4 && std::chrono::steady_clock::now() < until) {  // a thread has its name only once it runs
     writers = 0;
     for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
       std::ifstream file(task.path() / "status");
@@ -527,11 +528,11 @@ TEST(Net, NoThreadOfASessionIsEndedByAPeerThatHangsUp) {
   EXPECT_GE(writers, 4);
 }
 
-// A session does not linger at its end (server/io/.cargo/config.toml).
+// A session ends without delay (server/io/.cargo/config.toml).
 TEST(Net, HandsOnWhatWasPutBeforeItClosed) {
   const Session server = open_peer();
   ASSERT_EQ(net_subscribe(server.get(), "t/last", 1000, NET_LONGEST), TRANSPORT_OK);
-  constexpr size_t samples = 10;  // zenoh has 16 batches, and each takes one
+  constexpr size_t samples = 10;  // Zenoh has 16 batches, and each sample takes one
   for (int round = 0; round < 5; ++round) {
     Session client = open_client(server);
     ASSERT_TRUE(wait_for_subscriber(client, "t/last"));
@@ -566,7 +567,7 @@ TEST(Net, RefusesBadArgumentsWithASentence) {
   EXPECT_EQ(net_poll(peer.get(), nullptr, 1, 0), TRANSPORT_BAD_ARGUMENT);
 }
 
-// They would end the stack of the program that reads them.
+// Keys with so many parts would overflow the stack of the program that reads them.
 TEST(Net, RefusesAConfigurationOfBracketsWithinBrackets) {
   std::string list, map;
   for (int k = 0; k < 20'000; ++k) list += '[', map += "{a:";
@@ -581,7 +582,7 @@ TEST(Net, SaysWhichEndpointItCannotUse) {
   Net* net = nullptr;
   EXPECT_EQ(net_open("peer", net_endpoint(taken.get()), nullptr, nullptr, 100, &net), TRANSPORT_IO);
   EXPECT_NE(std::string(transport_error()).find(net_endpoint(taken.get())), std::string::npos) << transport_error();
-  std::string free;  // a port that was just free again
+  std::string free;  // a port that was free just now
   {
     const Session short_lived = open_peer();
     free = net_endpoint(short_lived.get());
@@ -595,7 +596,7 @@ TEST(Net, TakesTheCallersConfigurationOverItsOwn) {
   const Session client = open_client(server, "{ transport: { link: { tx: { lease: 5000 } } }, /* a comment */ }");
   ASSERT_EQ(net_subscribe(client.get(), "t/conf", 1, NET_LONGEST), TRANSPORT_OK);
   EXPECT_TRUE(wait_for_subscriber(server, "t/conf"));
-  Net* net = nullptr;  // the overlay reaches what the arguments set as well
+  Net* net = nullptr;  // the overlay also overrides the arguments
   EXPECT_EQ(net_open("client", nullptr, net_endpoint(server.get()), "{ connect: { endpoints: [\"x\"] } }", 100, &net),
             TRANSPORT_BAD_ARGUMENT);
 }
@@ -612,7 +613,7 @@ std::string read_file(const std::string& path) {
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
-// A new file each time: ext4 waits for the disk when a file is shortened, written anew and closed.
+// Uses a new file each time, because ext4 waits for the disk when a file is truncated, rewritten and closed.
 void write_file(const std::string& path, const std::string& bytes) {
   std::filesystem::remove(path);
   std::ofstream(path, std::ios::binary).write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
@@ -713,7 +714,7 @@ TEST(Recording, CanBeReadAgainFromTheStart) {
   reader_close(reader);
 }
 
-// The records of a file, by a walk of its own: {end of a chunk, messages up to there, by the indexes that follow the chunk}.
+// Finds the chunks of a file without the reader: {end of a chunk, messages up to there, by the indexes after the chunk}.
 std::vector<std::pair<size_t, size_t>> chunk_ends(const std::string& bytes) {
   std::vector<std::pair<size_t, size_t>> ends;
   size_t messages = 0;
@@ -796,7 +797,7 @@ TEST(Recording, RefusesWhatIsNoRecordingAndSaysSo) {
   EXPECT_EQ(reader_open(nullptr, &reader), TRANSPORT_BAD_ARGUMENT);
 }
 
-// Room for what a string says it has would be taken before it is seen that it is not there.
+// A reader that trusts the length of a string would allocate memory before it sees that the bytes are missing.
 TEST(Recording, RefusesStringsThatAreLongerThanTheirRecord) {
   using namespace std::string_literals;
   const std::string huge = "\xff\xff\xff\x7f"s, none = "\0\0\0\0"s, ids = "\1\0\1\0"s;
@@ -819,7 +820,7 @@ TEST(Recording, RefusesStringsThatAreLongerThanTheirRecord) {
   }
 }
 
-// A record in a chunk claims 200 MB that are not there.
+// A record in a chunk claims 200 MB that do not exist.
 TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
   std::string chunk(24 + 4, '\0');  // times, size, sum
   chunk += std::string(4, '\0');    // no compression
@@ -839,7 +840,7 @@ TEST(Recording, MakesRoomForNoMoreThanTheFileHas) {
 
 std::string number(uint64_t value, size_t bytes) { return {reinterpret_cast<const char*>(&value), bytes}; }
 
-// A chunk of records of kind 0x80, which nobody knows, of 100 MiB of zeros each, packed by zstd: 4 bytes give 128 KiB.
+// A chunk of records of the unknown kind 0x80, each with 100 MiB of zeros, packed by zstd: 4 bytes give 128 KiB.
 std::string zstd_bomb(int records, uint64_t claimed) {
   constexpr uint64_t block = 128 << 10, blocks = 800;
   const auto block_head = [](uint64_t size, uint64_t type, bool last) { return number(size << 3 | type << 1 | last, 3); };
@@ -853,7 +854,7 @@ std::string zstd_bomb(int records, uint64_t claimed) {
   return '\x06' + number(body.size(), 8) + body;
 }
 
-// 130 kB that keep whoever unpacks them busy for 4 GB, or fill its memory.
+// 130 kB that expand to 4 GB, which takes a reader's time or fills its memory.
 TEST(Recording, AChunkThatGivesFarMoreThanItTakesIsRefusedBeforeItIsUnpacked) {
   const std::string path = temporary("whole.mcap"), bomb = temporary("bomb.mcap");
   const std::vector<Entry> written = write_recording(path, 3000, 300);
@@ -873,7 +874,7 @@ TEST(Recording, AChunkThatGivesFarMoreThanItTakesIsRefusedBeforeItIsUnpacked) {
   }
 }
 
-// What compresses best, LZ4 makes 255 times shorter: the longest that is recorded, of zeros.
+// LZ4 makes data at most 255 times smaller: the longest recorded message, of zeros.
 TEST(Recording, WhatItPacksBestItReadsAgain) {
   const std::string path = temporary("zeros.mcap"), data(size_t{32} << 20, '\0');
   Recorder* recorder = nullptr;
@@ -889,7 +890,7 @@ TEST(Recording, WhatItPacksBestItReadsAgain) {
   EXPECT_TRUE(read.entries[0].data == data);
 }
 
-// A reader keeps them to the end.
+// A reader keeps schemas and topics to the end.
 TEST(Recording, RefusesSchemasThatFillTheMemory) {
   const std::string path = temporary("schemas.mcap"), schema(size_t{10} << 20, '\0');
   for (const int distinct : {6, 7}) {
@@ -916,7 +917,7 @@ TEST(Recording, IsReadableWhileItIsBeingWritten) {
   ASSERT_EQ(recorder_open(path.c_str(), "", "", &recorder), TRANSPORT_OK);
   const int channel = recorder_channel(recorder, "t", recorder_schema(recorder, "S", nullptr, 0));
   for (uint32_t i = 0; i < 10; ++i) ASSERT_EQ(recorder_write(recorder, channel, i, i, i, "x", 1), TRANSPORT_OK);
-  // As if killed: nothing is closed, and what was written a second ago must be there.
+  // As if killed: nothing is closed, and data that was written a second ago must be in the file.
   Recording read;
   for (const auto end = Clock::now() + deadline; read.entries.size() < 10 && Clock::now() < end;) {
     read = read_recording(path);
@@ -962,7 +963,7 @@ TEST(Recording, RefusesAFolderThatIsNotThereAndIdsThatWereNotGiven) {
   EXPECT_EQ(recorder_close(recorder), TRANSPORT_OK);
 }
 
-// What follows `marker`, up to the next quote or space.
+// Returns the text after `marker`, up to the next quote or space.
 std::string after(const std::string& text, const std::string& marker) {
   const size_t at = text.find(marker);
   if (at == std::string::npos) return "no " + marker;
@@ -970,7 +971,7 @@ std::string after(const std::string& text, const std::string& marker) {
   return text.substr(start, text.find_first_of("\"\n ,", start) - start);
 }
 
-// zenoh speaks one minor version on all ends: the Rust library's is the one that the Python tools install.
+// All ends must use the same minor version of Zenoh: the Rust library and the Python tools.
 TEST(Transport, AgreesWithPythonOnTheVersionOfZenoh) {
   const std::filesystem::path root = CRUMPLE_SOURCE_DIR;
   const std::string lock = after(read_file(root / "server/io/Cargo.lock"), "name = \"zenoh\"\nversion = \"");

@@ -1,4 +1,4 @@
-// Keys: what parses is right and is written as it was; everything else is refused.
+// Tests keys: a key that parses is correct and is written as it was; every other key is refused.
 #include "protocol/key.h"
 
 #include <gtest/gtest.h>
@@ -35,7 +35,7 @@ TEST(Keys, AreParsedIntoWhatStandsUnderThem) {
            {"owner/1000000000-00ff", Channel::owner, "00ff", 1'000'000'000},
            {"standby/1-00ff-", Channel::standby, "00ff-", 1},
        }) {
-    const std::string whole = root + key;  // what is parsed points into it
+    const std::string whole = root + key;  // the parsed key points into it
     const auto parsed = parse_key(whole, root);
     ASSERT_TRUE(parsed) << key;
     EXPECT_EQ(parsed->channel, channel) << key;

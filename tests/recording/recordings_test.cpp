@@ -1,5 +1,5 @@
-// Recordings can be trusted: those that come with the project give their hashes again; what a kill, a full, slow or forbidden
-// disk leaves is readable and says what it lacks; what other programs are given of them is what viewers saw.
+// Tests that recordings can be trusted. The recordings of the repository give their hashes again. After a kill, or with a full,
+// slow or forbidden disk, the file is readable and its end is reported. Exported files show what viewers saw.
 #include <assimp/commonMetaData.h>
 #include <assimp/scene.h>
 #include <fcntl.h>
@@ -23,7 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-#if defined(__SANITIZE_ADDRESS__)  // fifteen times slower: once is enough to see a fault in memory
+#if defined(__SANITIZE_ADDRESS__)  // fifteen times slower, and one run is enough to find a memory error
 constexpr const char* thread_counts[] = {"2"};
 constexpr const char* only = "built_in_pole";
 #else
@@ -60,7 +60,7 @@ struct Message {
 
 struct Contents {
   bool cut = false;
-  int end = 0;  // what the last reader_next gave
+  int end = 0;  // result of the last reader_next
   std::vector<Message> messages;
   std::vector<std::string> metadata, attachments;
   uint32_t last_tick() const {
@@ -98,8 +98,8 @@ Contents read(const std::string& path) {
   return contents;
 }
 
-// Copies a recording as long as `change` gives true, which may change a message, and leaves those out whose topic it clears;
-// `program` takes the recorder's place if given; `more` messages follow.
+// Copies a recording as long as `change` returns true. `change` may change a message, or leave it out by clearing its topic.
+// `program`, if given, replaces the recorder's name. Then `more` messages follow.
 void copy(const std::string& from, const std::string& to, const char* program, const std::function<bool(Message&)>& change,
           const std::vector<Message>& more = {}) {
   Reader* reader = nullptr;
@@ -154,7 +154,7 @@ size_t count(const std::string& text, const std::string& part) {
 
 class Recorded : public Program {
  protected:
-  // As anybody on the network sees the server: its health.
+  // The server's health, as any program on the network sees it.
   void listen() {
     ASSERT_EQ(net_open("client", nullptr, endpoint.c_str(), nullptr, 30'000, &net), 0) << transport_error();
     ASSERT_EQ(net_subscribe(net, "crumple/1/main/health", 0, NET_LONGEST), 0);
@@ -166,7 +166,7 @@ class Recorded : public Program {
   struct Health {
     uint64_t tick, late, lost;
   };
-  // The next health for which the condition holds; of tick 0 at the deadline. `meanwhile` is done again and again until then.
+  // Returns the next health for which the condition holds; of tick 0 at the deadline. Repeats `meanwhile` until then.
   Health health(
       const std::function<bool(const Health&)>& condition, const std::function<void()>& meanwhile = [] {}) {
     const auto deadline = Clock::now() + patience;
@@ -198,7 +198,7 @@ TEST_F(Recorded, AServerKilledInTheMiddleOfACrashLosesASecondAtMost) {
   spawn(host);
   crash(host);
   if (HasFatalFailure()) return;
-  // The promise is one second, which a loaded machine may stretch to three: so the session has to be longer than that.
+  // A kill may lose one second, and on a loaded machine three, so the session must be longer.
   constexpr uint32_t slack = 180;
   after(slack + 60);
   CrumpleCarPose pose{};
@@ -247,7 +247,7 @@ TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
   const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
   const Contents all = read(source);
   const std::string bytes = bytes_of(source);
-  const size_t cars = bytes.find("crumple/1/");  // the first message lies behind them
+  const size_t cars = bytes.find("crumple/1/");  // the first message comes after the schemas
   ASSERT_LT(cars, bytes.size());
   int recovered = 0;
   for (size_t i = 0; i <= 16; ++i) {
@@ -272,7 +272,7 @@ TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
     ASSERT_GE(out.metadata.size(), all.metadata.size());
     EXPECT_TRUE(std::equal(all.metadata.begin(), all.metadata.end(), out.metadata.begin()));
     EXPECT_EQ(out.attachments, all.attachments);
-    // Every message up to the last whole tick, with its times and its schema, and none beyond.
+    // Every message up to the last whole tick must be there with its times and its schema, and none after it.
     std::vector<Message> kept = in.messages;
     std::erase_if(kept, [&](const Message& message) { return message.tick > in.last_tick(); });
     EXPECT_TRUE(out.messages == kept) << at << ": " << out.messages.size() << " of " << kept.size();
@@ -283,7 +283,7 @@ TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
 TEST_F(Recorded, RecoverLeavesATickWithoutItsEndOut) {
   const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
   const Contents all = read(source);
-  // A tick that has inputs and outputs; its end and all after it are left away.
+  // Finds a tick with inputs and outputs, and leaves out its end and everything after it.
   uint32_t tick = 0;
   for (const Message& message : all.messages)
     if (tick == 0 && message.is("Reactions")) tick = message.tick;
@@ -338,7 +338,7 @@ TEST_F(Recorded, AnInputThatWasChangedAfterwardsIsFoundAtItsTickAndAnotherVersio
         std::string("same.mcap: every tick identical")})
     EXPECT_EQ(count(outcome.text, part), 1u) << part << "\n" << outcome.text;
 
-  // What cannot even be read names its version as well.
+  // A recording that cannot be read at all must also name its version.
   copy(path("true.mcap"), path("empty.mcap"), nullptr, [](const Message&) { return false; });
   const Outcome empty = run({"replay", path("empty.mcap"), "--verify"});
   EXPECT_EQ(empty.code, 1);
@@ -353,7 +353,7 @@ TEST_F(Recorded, WhatWasToldIsComparedTooAndTheFirstTickAndKeyThatDifferAreNamed
   spawn(host);
   crash(host);
   if (HasFatalFailure()) return;
-  after(150);  // the recording has been synced twice
+  after(150);  // the server has synced the recording twice
   server->send(SIGTERM);
   EXPECT_EQ(server->wait(), 0) << server->text;
   const std::string source = path("true.mcap");
@@ -408,7 +408,7 @@ TEST_F(Recorded, NothingIsPassedOverInSilence) {
   ASSERT_NE(host, nullptr);
   listen();
   spawn(host);
-  // An input that changes nothing: it is refused.
+  // An input that changes nothing, because it is refused.
   ASSERT_EQ(net_put(net, "crumple/1/main/host/stray/poses", "none", 4, NET_DATA), 0);
   crash(host);
   if (HasFatalFailure()) return;
@@ -488,7 +488,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   spawn(host);
   crash(host);
   if (HasFatalFailure()) return;
-  after(150);  // the recording has been synced twice
+  after(150);  // the server has synced the recording twice
   server->send(SIGTERM);
   EXPECT_EQ(server->wait(), 0) << server->text;
   const std::string source = path("true.mcap");
@@ -499,7 +499,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_NE(whole.text.find("every tick identical: " + ticks + " ticks"), std::string::npos) << whole.text;
   EXPECT_EQ(count(whole.text, "cut off") + count(whole.text, "older program"), 0u) << whole.text;
 
-  // With a footer, as if it had ended there.
+  // With a footer, as if the recording had ended there.
   const uint32_t half = all.last_tick() / 2;
   copy(source, path("half.mcap"), nullptr, [&](Message& message) { return message.tick <= half; });
   const Outcome closed = run({"replay", path("half.mcap"), "--verify"});
@@ -507,7 +507,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_NE(closed.text.find("the first " + std::to_string(half) + " of " + ticks + " ticks are identical"), std::string::npos)
       << closed.text;
   EXPECT_NE(run({"info", path("half.mcap")}).text.find("ENDS EARLY"), std::string::npos);
-  // Nothing that a tick gives.
+  // Without all outputs of a tick.
   copy(source, path("calm.mcap"), nullptr, [](Message& message) {
     if (message.is("Health")) message.topic.clear();
     return true;
@@ -516,7 +516,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_EQ(calm.code, 1) << calm.text;
   EXPECT_NE(calm.text.find(" messages were recorded"), std::string::npos) << calm.text;
 
-  // As a kill leaves it: sound as far as it goes.
+  // Like the file after a kill: sound up to its end.
   const std::string bytes = bytes_of(source);
   write_bytes(path("cut.mcap"), bytes.substr(0, bytes.find("crumple end") - 2000));
   const std::string left = std::to_string(read(path("cut.mcap")).last_tick());
@@ -524,7 +524,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_EQ(cut.code, 0) << cut.text;
   EXPECT_NE(cut.text.find("the first " + left + " ticks are identical"), std::string::npos) << cut.text;
   EXPECT_NE(cut.text.find("cut off"), std::string::npos) << cut.text;
-  // And as another program closes such a file: it cannot know what is missing, but that it has no end of ours.
+  // And like such a file after another program closed it: verify cannot know what is missing, only that our end is missing.
   const auto end = std::find(all.metadata.begin(), all.metadata.end(), "messages");
   EXPECT_NE(end, all.metadata.end()) << "a recording says how many messages it has";
   copy(path("cut.mcap"), path("closed.mcap"), nullptr, [](Message&) { return true; });
@@ -535,7 +535,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   for (const Outcome* each : {&closed, &calm, &cut, &without})
     EXPECT_EQ(each->text.find("every tick identical"), std::string::npos) << each->text;
 
-  // What recover makes of it says that it is not all.
+  // The file from recover must say that it is incomplete.
   EXPECT_EQ(run({"recover", path("closed.mcap"), "-o", path("recovered.mcap")}).code, 0);
   const Outcome recovered = run({"replay", path("recovered.mcap"), "--verify"});
   EXPECT_EQ(recovered.code, 0) << recovered.text;
@@ -543,7 +543,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_NE(recovered.text.find("recovered: "), std::string::npos) << recovered.text;
 }
 
-// Those that were made before recordings had an end of ours.
+// Recordings from before we wrote an end of our own.
 TEST_F(Recorded, AnOlderRecordingIsVerifiedAsBeforeAndItIsSaid) {
   const Outcome outcome = run({"replay", CRUMPLE_SOURCE_DIR "/recordings/built_in_roof_drop.mcap", "--verify"});
   EXPECT_EQ(outcome.code, 0) << outcome.text;
@@ -557,7 +557,7 @@ TEST_F(Recorded, AKillWithinTheFirstSecondsLosesASecondAtMostAndNothingOfTheHead
     const std::string file = path(("killed" + std::to_string(ticks) + ".mcap").c_str());
     start_server(file);
     ASSERT_EQ(net_open("client", nullptr, endpoint.c_str(), nullptr, 30'000, &net), 0) << transport_error();
-    ASSERT_EQ(net_subscribe(net, "crumple/1/main/replica/inputs", 1000, NET_LONGEST), 0);  // one a tick
+    ASSERT_EQ(net_subscribe(net, "crumple/1/main/replica/inputs", 1000, NET_LONGEST), 0);  // one per tick
     uint64_t last = 0;
     for (const auto deadline = Clock::now() + patience; last < ticks && Clock::now() < deadline;) {
       NetEvent events[64];
@@ -575,7 +575,7 @@ TEST_F(Recorded, AKillWithinTheFirstSecondsLosesASecondAtMostAndNothingOfTheHead
     EXPECT_EQ(left.attachments.size(), 1u) << "the car is not in the file after " << last << " ticks";
     EXPECT_NE(std::find(left.metadata.begin(), left.metadata.end(), "quantum"), left.metadata.end());
     if (ticks < 150) continue;
-    // A second, and one more for a loaded machine.
+    // One second, and another for a loaded machine.
     ASSERT_FALSE(left.messages.empty()) << "nothing is in the file after " << last << " ticks";
     const auto lost = std::chrono::nanoseconds(now).count() - int64_t(left.messages.back().log_time);
     EXPECT_LT(lost, 2'000'000'000) << "ns, of " << last << " ticks";
@@ -616,7 +616,7 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   Crumple* host = open("tester");
   ASSERT_NE(host, nullptr);
   listen();
-  // Nobody reads: 64 KiB fit the pipe, 64 MiB the queue. Refused messages are inputs as well.
+  // Nobody reads the pipe, which holds 64 KiB; the queue holds 64 MiB. Refused messages are inputs as well.
   std::string noise(1'000'000, '\0');
   std::mt19937 random(1);
   for (char& c : noise) c = static_cast<char>(random());
@@ -627,7 +627,7 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
                              net_put(net, key.c_str(), noise.data(), noise.size(), NET_DATA);
                            });
   EXPECT_TRUE(server->read_until("pipe: loses messages")) << server->text;
-  // On keys that the full queue hears of for the first time, of tables that it knows and does not know.
+  // Messages on keys that are new to the full queue, with tables that it knows and does not know.
   spawn(host);
   CrumpleCarPose still{};
   still.car = "box";
@@ -642,8 +642,9 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
     std::vector<char> chunk(1 << 16);
     for (ssize_t size; (size = ::read(pipe, chunk.data(), chunk.size())) > 0;) file.write(chunk.data(), size);
   });
-  health(
-      [&, last = then.lost](const Health& now) mutable { return std::exchange(last, now.lost) == now.lost; });  // it has room
+  health([&, last = then.lost](const Health& now) mutable {
+    return std::exchange(last, now.lost) == now.lost;
+  });  // the queue has room again
   crash(host);
   server->send(SIGINT);
   EXPECT_EQ(server->wait(), 1) << server->text;
@@ -663,7 +664,7 @@ TEST_F(Recorded, ADiskThatIsStuckHoldsNoTickUpAndWhatItLostIsNamed) {
   EXPECT_NE(verified.text.find("lost inputs when it was recorded"), std::string::npos) << verified.text;
 }
 
-// A server whose disk, but for the program and the car, can be made to hang.
+// A server whose disk can be made to hang, except for the program and the car.
 class DiskThatHangs : public Recorded {
  protected:
   void SetUp() override {
@@ -671,7 +672,7 @@ class DiskThatHangs : public Recorded {
     GTEST_SKIP() << "its runtime must be the first library";
 #endif
     Recorded::SetUp();
-    setenv("LD_PRELOAD", CRUMPLE_HANG, 1);  // of the programs that are started here
+    setenv("LD_PRELOAD", CRUMPLE_HANG, 1);  // for the programs that this test starts
     setenv("CRUMPLE_HANG", path("hang").c_str(), 1);
   }
   void TearDown() override {
@@ -744,7 +745,7 @@ TEST_F(DiskThatHangs, WhoStandsByTakesOverAllTheSame) {
   EXPECT_EQ(verified.code, 0) << verified.text;
 }
 
-// Of a standby that was never needed.
+// The recording of a standby that was never needed.
 TEST_F(Recorded, AFileInWhichNothingBeganIsNotLeft) {
   Net* opened = nullptr;
   ASSERT_EQ(net_open("router", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
@@ -787,7 +788,7 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
   const auto files = [&](const char* where) {
     std::vector<std::string> found;
     for (const auto& entry : fs::directory_iterator(path(where))) found.push_back(entry.path().string());
-    std::sort(found.begin(), found.end());  // seconds since 1970: as many digits in all
+    std::sort(found.begin(), found.end());  // seconds since 1970: all names have as many digits
     return found;
   };
   const auto are_there = [&](const char* where, size_t count) {
@@ -796,7 +797,7 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
     return files(where).size() >= count;
   };
   ASSERT_TRUE(are_there("gone", 2));
-  // Where there can be no next file the recording goes on, and takes the next one as soon as it can.
+  // If the next file cannot be opened, the recording continues in the old one, and changes to the next file as soon as it can.
   fs::rename(path("gone"), path("kept"));
   EXPECT_TRUE(server->read_until("goes on in ")) << server->text;
   fs::create_directory(path("gone"));
@@ -817,10 +818,10 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
       }
       ++number[message.topic];
     }
-    // Who opens the file sees the car and the wall.
+    // A reader of the file sees the car and the wall.
     for (const char* key : {"car/box/key/0", "car/box/key/1", "host/tester/obstacles", "host/tester/poses"})
       EXPECT_GE(number[std::string("crumple/1/main/") + key], 1) << file << " " << key;
-    if (number["crumple/1/main/tick"] == 0) continue;  // it had just begun
+    if (number["crumple/1/main/tick"] == 0) continue;  // this file had just begun
     const Outcome verified = run({"replay", file, "--verify"});
     EXPECT_EQ(verified.code, 0) << verified.text;
     EXPECT_EQ(count(verified.text, "what hosts had told before"), file == all.front() ? 0u : 1u) << verified.text;
@@ -874,7 +875,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
   const Outcome outcome = run({"export", path("show.mcap"), "-o", path("show"), "--fps", "20"});
   ASSERT_EQ(outcome.code, 0) << outcome.text;
 
-  // The film, by another reader of glTF.
+  // Reads the film with another reader of glTF.
   Assimp::Importer importer;
   const aiScene* scene = importer.ReadFile(path("show/box.glb"), 0);
   ASSERT_NE(scene, nullptr) << importer.GetErrorString();
@@ -904,7 +905,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
     EXPECT_EQ(weight(shapes.mNumKeys - 1, shape), shape + 1 == body.mNumAnimMeshes ? 1 : 0) << "it ends as it was left";
   }
 
-  // Where it ends, and the table of reactions, against the recording's own.
+  // Compares the end of the film and the table of reactions with the recording.
   std::vector<Message> told;
   for (const Message& message : read(path("show.mcap")).messages)
     if (message.is("Reactions")) told.push_back(message);
@@ -915,7 +916,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
   EXPECT_NEAR(motion.mPositionKeys[motion.mNumPositionKeys - 1].mValue.x, pose.position().x(), 1e-5);
   EXPECT_GT(motion.mPositionKeys[motion.mNumPositionKeys - 1].mTime, 50) << "ms";
   EXPECT_LT(motion.mPositionKeys[motion.mNumPositionKeys - 1].mTime, 1000.0 / 60 * told.back().tick + 100) << "ms";
-  // glTF's y is up: the height of the roof is the third coordinate here and the second there.
+  // In glTF y is up: the height of the roof is our third coordinate and glTF's second.
   const aiMatrix4x4 upright = scene->mRootNode->mTransformation;
   const aiVector3D up = upright * aiVector3D(0, 0, 1), forward = upright * aiVector3D(1, 0, 0);
   EXPECT_NEAR(up.y, 1, 1e-6);
@@ -951,7 +952,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
   for (size_t i = 0; i < seen.size(); ++i) EXPECT_NEAR(vertices[i / 3][i % 3], seen[i], 1e-5f) << "vertex " << i / 3;
 }
 
-// A car whose vertices lie inside tets, seen by a viewer of the film.
+// A car whose vertices lie inside tets, as a viewer of the film sees it.
 TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
   const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/m130_wall.mcap";
   uint64_t end = 0;
@@ -989,7 +990,7 @@ TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
           << "vertex " << v;
 }
 
-// A keyframe says how many nodes it has, and its own hash of them is right.
+// A forged keyframe with another number of nodes and the correct hash of them.
 TEST_F(Recorded, ExportRefusesASurfaceThatLosesItsNodes) {
   const std::string source = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
   int keyframes = 0;

@@ -1,5 +1,5 @@
-// What a server records in the long run: with cars that come and go for ever its memory stays flat, and nothing is lost. Real
-// ticks on a clock of the test's own; their files are verified by the program.
+// Tests long recordings: with cars that come and go for ever the server's memory stays flat, and nothing is lost. Ticks are
+// real, but the test's own clock drives them. The program verifies their files.
 #include "recording/series.h"
 
 #include <gtest/gtest.h>
@@ -39,7 +39,7 @@ Told read(const std::string& path) {
   return told;
 }
 
-// False at the deadline.
+// Returns false at the deadline.
 bool until(const std::function<bool()>& condition) {
   for (const auto deadline = Clock::now() + patience; !condition();) {
     if (Clock::now() > deadline) return false;
@@ -60,7 +60,7 @@ class LongRun : public testing::Test {
   fs::path folder;
 };
 
-// A world with one kind of car, a tick of which takes 20 us.
+// A world with one kind of car and ticks of 20 us.
 struct Scene {
   std::shared_ptr<const Car> car = box_car({2, 1, 1});
   WorldHandle world = make_world(60, 0.0005f);
@@ -85,7 +85,7 @@ struct Scene {
   }
 };
 
-// To be called between two ticks; what a thread does with the disk takes no time on the test's clock.
+// Call this between two ticks. The work of threads on the disk takes no time on the test's clock.
 void go_on(Series& series, Series::Clock::time_point now) {
   series.go_on(now);
   EXPECT_TRUE(until([&] { return !series.is_opening(); }));
@@ -205,7 +205,7 @@ TEST_F(LongRun, AFileWhoseIndexHasComeToItsBoundIsFollowedByAnother) {
     go_on(series, at(9.9));
   }
   EXPECT_EQ(series.file(), first) << "it lasts ten seconds at least";
-  ASSERT_TRUE(until([&] {  // the recorder has written what makes its index too long
+  ASSERT_TRUE(until([&] {  // the recorder has written enough to make its index too long
     go_on(series, at(10));
     return series.file() != first;
   }));
@@ -231,7 +231,7 @@ TEST_F(LongRun, WhereThereCanBeNoOtherFileWhatIsLostIsCountedWithItsReason) {
   series.begin(at(0));
   fs::rename(path("gone"), path("kept"));
   for (int k = 0; k < 10; ++k) {
-    scene.tick(series, {scene.spawn("car" + std::to_string(k))});  // six keys of its own
+    scene.tick(series, {scene.spawn("car" + std::to_string(k))});  // a car with six keys
     go_on(series, at(k));
     series.tell();
   }
@@ -286,19 +286,19 @@ TEST_F(LongRun, OutputsThatWereLostAreSaidToBeLostAndNotToDiffer) {
       << verified.text;
 }
 
-// What the bound of the index is held against is what the memory holds.
+// The bound of the index must limit the real memory.
 TEST_F(LongRun, TheIndexTakesNoMoreMemoryThanItIsThoughtTo) {
 #if defined(__SANITIZE_ADDRESS__)
   GTEST_SKIP() << "the memory is another here";
 #endif
   constexpr int channels = 60'000, rounds = 10, at_once = 1'000;
-  constexpr size_t buffers = size_t{1} << 20;  // the recorder's, and its queue of what comes at once
+  constexpr size_t buffers = size_t{1} << 20;  // the recorder's buffers, and its queue of simultaneous messages
   const auto held = [] { return mallinfo2().uordblks + mallinfo2().hblkhd; };
   Recorder* recorder = nullptr;
   const size_t before = held();
   ASSERT_EQ(recorder_open(path("index.mcap").c_str(), "", "", &recorder), 0);
   const int schema = recorder_schema(recorder, "S", nullptr, 0);
-  std::map<std::string, int> ids;  // as a Recording has them
+  std::map<std::string, int> ids;  // as in a Recording
   uint64_t written = 0;            // in the index
   const auto wait_after = [&](int k) {
     return k % at_once < at_once - 1 || until([&] { return recorder_index(recorder) >= written; });
@@ -325,7 +325,6 @@ TEST_F(LongRun, TheIndexTakesNoMoreMemoryThanItIsThoughtTo) {
   EXPECT_EQ(recorder_close(recorder), 0);
 }
 
-// Longer than a record may be, and than the recorder's queue.
 TEST_F(LongRun, AFileThatASignalLeftBeforeItBeganIsSaidToBeEmpty) {
   Scene scene;
   const Series standby(scene.options(path("standby.mcap")), *scene.world, scene.latest);
@@ -340,6 +339,7 @@ TEST_F(LongRun, AFileThatASignalLeftBeforeItBeganIsSaidToBeEmpty) {
   }
 }
 
+// Longer than the longest record, and longer than the recorder's queue.
 TEST_F(LongRun, AWorldOfManyDamagedCarsIsRecordedInPieces) {
   RecordingHead head;
   head.scene = "main";

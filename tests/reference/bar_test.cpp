@@ -1,4 +1,5 @@
-// What a bar keeps that was pulled beyond its yield strain, by its closed form: however few sweeps there are.
+// Tests the residual elongation of a bar that was pulled beyond its yield strain, against its closed form, also with few
+// sweeps.
 #include "reference/bar.h"
 
 #include <gtest/gtest.h>
@@ -36,7 +37,7 @@ TEST(Bar, KeepsItsPlasticSetAtAnyNumberOfSweeps) {
     const PulledBar pulled = pull_bar(tets, 1, parameters);
     EXPECT_NEAR(pulled.set / expected, 1, 0.01) << sweeps << " sweeps";
     EXPECT_TRUE(pulled.body.settled) << sweeps << " sweeps";
-    if (sweeps < 64) continue;  // fewer leave the set, but not yet every tet its even share
+    if (sweeps < 64) continue;  // with fewer sweeps the set is right, but not yet spread evenly over the tets
     const auto [least, most] = std::minmax_element(pulled.body.hardening.begin(), pulled.body.hardening.end());
     EXPECT_NEAR(double(*least), std::log1p(expected), 0.05 * std::log1p(expected));
     EXPECT_NEAR(double(*most), std::log1p(expected), 0.05 * std::log1p(expected));

@@ -1,4 +1,4 @@
-// The methods beside the server's on the chart: laws that each must keep, and the one that naive Jacobi cannot.
+// Tests the baseline methods: the laws that each must keep, and the law that naive Jacobi cannot keep.
 #include "reference/baselines.h"
 
 #include <gtest/gtest.h>
@@ -26,7 +26,7 @@ Parameters elastic(int iterations) {
   return parameters;
 }
 
-// A box car whose free nodes were moved by up to `most` m along each axis.
+// A box car whose free nodes are moved by up to `most` m along each axis.
 struct Jolted {
   std::shared_ptr<const Car> car = box_car();
   const Model& model = car->model;
@@ -156,7 +156,7 @@ TEST(Baselines, NaiveJacobiDivergesOnAConnectedMeshFromAMillimetre) {
   Jolted jolted(0.001f);
   const double before = jolted.error();
   solve_naive_jacobi(jolted.model, jolted.structure, elastic(20), {}, jolted.body);
-  EXPECT_FALSE(jolted.error() < 1000 * before);  // nor is it a number, perhaps
+  EXPECT_FALSE(jolted.error() < 1000 * before);  // perhaps it is not even a number
 }
 
 TEST(Baselines, AnchoredNodesAndADrivenWallAreObeyed) {
@@ -180,14 +180,14 @@ TEST(Baselines, AnchoredNodesAndADrivenWallAreObeyed) {
     deform_baseline(baseline, car.model, car.structure, Parameters(), mass, {&wall, 1}, 1.0 / 60, car.body, motion);
     anchored_stand(car);
     EXPECT_GT(car.error(), 1e-3) << "method " << int(baseline);
-    if (baseline != Baseline::xpbd) continue;  // the thesis's order lets nodes slip back behind an obstacle
+    if (baseline != Baseline::xpbd) continue;  // in the thesis's order nodes may slip back behind an obstacle
     for (const Vec3& node : car.body.node) EXPECT_LT(node.x(), 2.25 - 0.1 + 1e-4);
   }
 }
 
 // ---- xpbd: the stretch that its compliances say ------------------------------------------------------------------------
 
-// The linear stiffness matrix at rest of sum k/2 C^2: sum k grad C grad C^T. Double, dense, written from the definition.
+// The linear stiffness matrix of sum k/2 C^2 at rest: sum k grad C grad C^T. Dense, in double precision, from the definition.
 Eigen::MatrixXd stiffness_matrix(const Model& model, const Structure& structure, const Parameters& parameters) {
   const DeformableState rest = make_body(model);
   Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(3 * Eigen::Index(model.node.size()), 3 * Eigen::Index(model.node.size()));
@@ -222,7 +222,7 @@ struct PulledBar {
     model.node_anchored = anchored;
     for (float each : model.tet_rest) volume += each;
   }
-  // By xpbd: a force is a push of h / c a sub-step on the position that the drag pulls back to.
+  // With xpbd: in each sub-step a force moves the position that the drag pulls to by force h / c.
   double stretch(double force, int substeps) {
     constexpr float h = 1.0f / 960;
     DeformableState body = make_body(model);
@@ -255,9 +255,9 @@ TEST(Xpbd, ABarUnderLoadReachesTheStretchOfItsCompliances) {
   for (const float modulus : {3e6f, 15e6f}) {
     PulledBar bar;
     for (Material& material : bar.parameters.region) material.young_modulus = modulus;
-    const double force = 0.01 * double(modulus) * 1.8 * 1.5;  // a hundredth of stretch, about
+    const double force = 0.01 * double(modulus) * 1.8 * 1.5;  // for a stretch of about a hundredth
     const double linear = bar.linear_stretch(force);
-    EXPECT_NEAR(linear / 0.045, 1, 0.25);  // stress / modulus x length; clamped, and the mesh has a grain
+    EXPECT_NEAR(linear / 0.045, 1, 0.25);  // stress / modulus x length; tolerance for the clamp and the direction of the mesh
     EXPECT_NEAR(bar.stretch(force, 200) / linear, 1, 0.03) << "modulus " << modulus;
   }
 }

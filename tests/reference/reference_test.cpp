@@ -1,5 +1,5 @@
-// The reference minimiser against closed forms and against itself: what a yardstick must keep before anything is measured by
-// it. Then the float law of the sweeps and the sweeps themselves against it.
+// Tests the reference minimiser against closed forms and against itself, because other code is measured by it. Then tests the
+// float law of the sweeps and the sweeps themselves against it.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -32,7 +32,7 @@ Vector3d random_strain(std::mt19937& random, double size) {
   return {entry(random), entry(random), entry(random)};
 }
 
-// A box of tets whose anchors, and where they stand, the test chooses.
+// A box of tets. The test chooses the anchored nodes and their places.
 struct Block {
   std::shared_ptr<const Car> car;
   std::vector<Vec3> node;
@@ -65,7 +65,7 @@ struct Block {
   ReferenceStep step(const std::vector<Contact>& contacts = {}, double seconds = h) {
     return step_reference(model, parameters, contacts, seconds, {}, state);
   }
-  // Two plates without friction that leave this much room along x; the left one stands.
+  // Two plates without friction with this distance along x. The left plate does not move.
   std::vector<Contact> plates(double room, float friction = 0, const Vec3& carry = Vec3::Zero()) const {
     std::vector<Contact> contacts;
     for (uint32_t i = 0; i < node.size(); ++i) {
@@ -121,7 +121,7 @@ TEST(ReferenceLaw, StressIsTheSlopeOfTheEnergyAndTheTangentThatOfTheStress) {
       for (int i = 0; i < 3; ++i) {
         const Vector3d d = nudge * Vector3d::Unit(i);
         const Mapped up = map_strain(m, trial + d, kappa), down = map_strain(m, trial - d, kappa);
-        if ((up.growth > 0) != (down.growth > 0)) continue;  // a kink of the tangent between the two
+        if ((up.growth > 0) != (down.growth > 0)) continue;  // the tangent has a kink between the two
         EXPECT_NEAR((up.energy - down.energy) / (2 * nudge), here.stress[i], 1e-7 * m.shear);
         if ((kappa + up.growth > m.limit - 1e-9) != (kappa + down.growth > m.limit - 1e-9)) continue;
         EXPECT_LT(((up.stress - down.stress) / (2 * nudge) - here.tangent.col(i)).norm(), 1e-5 * m.shear);
@@ -166,7 +166,7 @@ TEST(ReferenceLaw, TheTangentOfATetIsTheSlopeOfItsStressAndProjectedItIsNeverNeg
     const ReferenceMaterial m = reference_material(material(k % 2 ? 0.3f : 0.0f));
     Matrix3d f = Matrix3d::Identity();
     for (int i = 0; i < 9; ++i) f(i / 3, i % 3) += entry(random);
-    if (k % 10 == 0) f.col(0) *= -1;  // inverted ones too
+    if (k % 10 == 0) f.col(0) *= -1;  // inverted tets too
     const TetLaw here = tet_law(FlowLaw::mapped, m, f, 0, true, false);
     for (int i = 0; i < 9; ++i) {
       Matrix3d d = Matrix3d::Zero();
@@ -260,7 +260,7 @@ TEST(Reference, APatchWhoseBoundaryIsStretchedStretchesAlikeInside) {
 }
 
 TEST(Reference, AnElasticBarBetweenPlatesGivesTheClosedForm) {
-  // Lateral stretch s where the sides carry nothing: mu s + l (r s^2 - gamma) r s = 0 at the axial stretch r.
+  // The lateral stretch s of stress-free sides: mu s + l (r s^2 - gamma) r s = 0 at the axial stretch r.
   for (float poisson : {0.0f, 0.3f}) {
     Material bar = material(poisson, 1);
     bar.drag = 1e-3f;
@@ -279,7 +279,7 @@ TEST(Reference, AnElasticBarBetweenPlatesGivesTheClosedForm) {
     }
     EXPECT_NEAR(right / expected, 1, 1e-5);
     EXPECT_NEAR((width_high - width_low) / (block.high - block.low).y(), std::sqrt(s2), 1e-5);
-    EXPECT_LT(step.force.norm(), 1e-4 * std::fabs(right));  // one plate against the other
+    EXPECT_LT(step.force.norm(), 1e-4 * std::fabs(right));  // the forces of the two plates
   }
 }
 
@@ -288,7 +288,7 @@ TEST(Reference, ABlockCrushedBetweenPlatesFlowsEvenlyAndAsOneTetWould) {
   foam.drag = 1e-3f;
   Block block(foam);
   const ReferenceMaterial m = reference_material(foam);
-  // One tet's story: at each step the lateral stretch that leaves the sides free, by bisection.
+  // The history of one tet: at each step, bisection finds the lateral stretch with stress-free sides.
   const double length = (block.high - block.low).x();
   Vector3d elastic = Vector3d::Zero();
   double kappa = 0, last_axial = 1, last_side = 1;
@@ -322,7 +322,7 @@ TEST(Reference, NewtonsResidualFallsQuadratically) {
   const ReferenceStep step = block.step(block.plates(0.97 * (block.high - block.low).x()));
   ASSERT_TRUE(step.converged);
   ASSERT_GE(step.residual.size(), 3u);
-  // From the first residual under 1e-3 on; round-off ends it.
+  // Starts at the first residual under 1e-3. Round-off ends the convergence.
   int seen = 0;
   for (size_t k = 0; k + 1 < step.residual.size(); ++k) {
     if (step.residual[k] > 1e-3) continue;
@@ -367,7 +367,7 @@ TEST(Reference, APlateThatGoesBackLetsItsNodesGo) {
 }
 
 TEST(Reference, APlaneNeverPulls) {
-  // The plate comes 0.1 mm nearer, the other end is drawn away 20 mm: nodes meet the plate first and must leave it again.
+  // The plate comes 0.1 mm nearer, and the other end moves away by 20 mm. Nodes first touch the plate and must then leave it.
   Block block(material(0, 1));
   std::vector<Contact> contacts;
   for (const Contact& each : block.plates((block.high - block.low).x() - 1e-4)) {
@@ -408,7 +408,7 @@ TEST(ReferenceTwin, FlowIsTheSameInSinglePrecision) {
       for (int i = 0; i < 3; ++i) {
         EXPECT_NEAR(std::log(double(gradients.corner[i][i])), own.strain[i] - trial[i], 1e-5);
       }
-      // The exact law: flow() goes along the stress of the logarithmic law, not of the neo-Hookean one.
+      // The exact law. flow() follows the stress of the logarithmic law instead of the neo-Hookean one.
       const Mapped exact = map_strain(m, trial, before);
       EXPECT_NEAR(exact.growth, own.growth, 0.02 * own.growth + 1e-4);
       EXPECT_LT((exact.strain - own.strain).norm(), 0.1 * own.strain.norm());

@@ -1,5 +1,5 @@
-// The door: what strangers can send, hold open or leave behind, and what the service does meanwhile. Each test was once an
-// attack that stopped, deafened or filled a server.
+// Tests messages, connections and declarations of strangers, during which the server must go on. Each test was once an attack
+// that stopped a server, made it deaf, or filled its memory.
 #include "host.h"
 #include "io/net.h"
 #include "program.h"
@@ -18,7 +18,7 @@ Session open_session(const char* mode, const char* listen, const char* connect) 
   return Session(net);
 }
 
-// zenoh closes a link whose peer is silent for 3 s. What was still to be sent on it must not hold up those who read the others.
+// Zenoh closes a link whose peer is silent for 3 s. Unsent data on this link must not delay the readers of other links.
 TEST(Door, ViewersThatFreezeUntilTheirLinksExpireDeafenNobody) {
   constexpr int viewers = 4;
   constexpr const char* delta = "crumple/1/main/car/box/delta/0";
@@ -29,7 +29,7 @@ TEST(Door, ViewersThatFreezeUntilTheirLinksExpireDeafenNobody) {
   ASSERT_EQ(net_queryable(server.get(), "crumple/1/main/car/*/key/*", 100, NET_LONGEST), 0);
   ASSERT_EQ(net_subscribe(server.get(), "crumple/1/main/host/*/poses", 1000, NET_LONGEST), 0);
 
-  // A viewer is there when it asks for the keyframe of the car that it follows.
+  // A viewer has arrived when it asks for the keyframe of its car.
   NetEvent events[64];
   std::vector<std::unique_ptr<Process>> frozen;
   for (int i = 0; i < viewers; ++i) {
@@ -45,7 +45,7 @@ TEST(Door, ViewersThatFreezeUntilTheirLinksExpireDeafenNobody) {
   const std::string batch(60'000, 'x');
   for (int i = 0; i < 200; ++i) ASSERT_EQ(net_put(server.get(), delta, batch.data(), batch.size(), NET_DATA), 0);
 
-  // The host says something as soon as it was heard. All links of the frozen expire in this time.
+  // The host sends again as soon as the server has heard it. All links of frozen viewers expire in this time.
   const Session host = open_session("client", nullptr, endpoint.c_str());
   Clock::duration longest{};
   const auto end = Clock::now() + std::chrono::seconds(8);

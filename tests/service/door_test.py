@@ -1,4 +1,4 @@
-"""Strangers at a server's door, with zenoh alone and all that it allows: keys of every kind at samples, questions, tokens and
+"""Strangers attack a server with everything that Zenoh alone allows: keys of every kind at samples, questions, tokens and
 subscriptions, questions that bring megabytes, tokens of owners that are none. And with frames made by hand (raw_zenoh.py). The
 server goes on, counts it, stays small and is deaf to nobody.
 
@@ -22,16 +22,16 @@ import unittest
 import raw_zenoh as raw
 import zenoh
 
-PATIENCE = 60.0  # s for what must come
+PATIENCE = 60.0  # s for messages that must arrive
 PROGRAM, CAR = (str(pathlib.Path(each).resolve()) for each in sys.argv[1:3])
-DEAF = 15.0  # s that nobody may wait longer for an answer, on any machine: it was 20 and more
-SANITIZED = b"__asan_init" in pathlib.Path(sys.argv[1]).read_bytes()  # it takes more memory for the same
+DEAF = 15.0  # s: no answer may take longer on any machine; it once took more than 20 s
+SANITIZED = b"__asan_init" in pathlib.Path(sys.argv[1]).read_bytes()  # the sanitizer needs more memory
 SEED = int(os.environ.get("DOOR_SEED", "1"))
 ROOT = "crumple/1/main/"
 
 
 def put(session, key, payload):
-    """zenoh drops what a session puts faster than its line takes it, unless it is told to wait."""
+    """Puts a message and waits, because otherwise Zenoh drops messages that are faster than the link."""
     session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
 
@@ -42,13 +42,13 @@ def health_of(sample):
 class WithServer(unittest.TestCase):
     def setUp(self):
         command = [PROGRAM, "serve", "--car", CAR, "--listen", "tcp/127.0.0.1:0", "--threads", "1"]
-        environment = {**os.environ, "ASAN_OPTIONS": "quarantine_size_mb=16"}  # what is freed is not to count as kept
+        environment = {**os.environ, "ASAN_OPTIONS": "quarantine_size_mb=16"}  # freed memory must not count as kept
         self.server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
         self.addCleanup(self.server.kill)
         self.endpoint = re.search(r"tcp/[0-9.:]+", self.server.stdout.readline()).group()
         self.healths = queue.Queue()
         self.watcher = self.open()
-        # what strangers put there is shorter
+        # values from strangers are shorter
         self.watcher.declare_subscriber(ROOT + "health", lambda it: len(it.payload) > 99 and self.healths.put(health_of(it)))
         self.health()
 
@@ -66,7 +66,7 @@ class WithServer(unittest.TestCase):
         return session
 
     def health(self):
-        """One that the server tells from now on: as its counts, by name."""
+        """Returns the next health that the server sends: its counts by name."""
         while not self.healths.empty():
             self.healths.get()
         try:
@@ -88,7 +88,7 @@ class WithServer(unittest.TestCase):
         self.assertEqual(self.server.returncode, 0, said)
 
     def ask(self, session, key, payload=b"x"):
-        """What a question comes to: a list of sentences of refusals, and the number of answers."""
+        """Sends a query. Returns a list of the sentences of refusals, and the number of answers."""
         refused, answered = [], 0
         for reply in session.get(key, payload=payload, timeout=PATIENCE):
             if reply.ok is None:
@@ -100,7 +100,7 @@ class WithServer(unittest.TestCase):
 
 class Door(WithServer):
     def keys(self, draw):
-        """Key expressions that zenoh takes: what an attack used, and others put together of parts at random."""
+        """Returns key expressions that Zenoh accepts: those of an earlier attack, and random combinations of parts."""
         x = "x" * 60_000
         all_keys = ["**", "*", "crumple/**", "crumple/*/main/**", "crumple/1/**", "crumple/1/*/owner/**", "@/**", "@a/b"]
         for below in """** * car/** car/* car/$* car/a$*b/key/0 car/*/key/0 car/x/key/* car/x/key/9 car/x/delta/0 car/x/answer car/@x
@@ -166,7 +166,7 @@ class Door(WithServer):
         self.assertEqual(self.health()["hosts"], 0)
 
     def test_a_key_of_many_parts_is_forgotten_again(self):
-        """zenoh knows each part of a key by one of its own, and drops them one within the other."""
+        """Makes long keys: Zenoh keeps an object for each part of a key, and destroys them recursively."""
         deep = ROOT + "/".join("x" * 12_000)
         session = self.open()
         session.declare_subscriber(deep, lambda sample: None)
@@ -200,7 +200,7 @@ class Door(WithServer):
 
 
 class Asker(threading.Thread):
-    """Asks the server one question after the other by a session of its own; knows how long it was left without an answer."""
+    """Sends the server one query after the other in its own session, and measures the longest time without an answer."""
 
     def __init__(self, endpoint):
         super().__init__(daemon=True)
@@ -224,7 +224,7 @@ class Asker(threading.Thread):
 
 
 class Frames(WithServer):
-    """Whoever makes frames by hand sends what zenoh's own sessions never do."""
+    """Sends hand-made frames that Zenoh's own sessions never send."""
 
     def setUp(self):
         super().setUp()
@@ -252,10 +252,10 @@ class Frames(WithServer):
     def test_no_key_made_by_hand_ends_the_server(self):
         bad = [b"*x", b"crumple/1/main/*x", b"a//b", b"crumple/1/main/car/x#y", b"", b"/", b"a/", b"**/**/$*$*", b"$*$*", b"a?b",
                b"x" * 300, b"x" * 40_000, b"a" + b"/a" * 40, b"a/" * 15_000 + b"a", b"**/" * 20 + b"a"]
-        self.stranger().frames(raw.push(b"\xff\xfe"))  # no text: the session ends
+        self.stranger().frames(raw.push(b"\xff\xfe"))  # this is no text: the session ends
         sent = 0
         for key in bad:
-            for scope in (0, 7, 99):  # 7 is declared, 99 is not
+            for scope in (0, 7, 99):  # key 7 is declared, key 99 is not
                 stranger = self.stranger()
                 stranger.frames(raw.declare(raw.KEY, 7, "crumple/1/main/car"))
                 stranger.frames(raw.push(key, scope=scope), raw.response(3, key, scope=scope))
@@ -264,8 +264,8 @@ class Frames(WithServer):
                 for mode in (1, 2, 3):
                     stranger.frames(raw.interest(30 + mode, key, scope=scope, mode=mode))
                 stranger.frames(raw.request(5, key, scope=scope))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # whoever asked hears the end
-                sent += 8 if key else 0  # nothing after a declared key is that key
+                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # the asker gets the end of the answers
+                sent += 8 if key else 0  # a declared key without a suffix
         self.nobody_was_deaf()
         self.refused_since(0, sent)
 
@@ -278,17 +278,17 @@ class Frames(WithServer):
                 for id in range(4_000):
                     stranger.frames(*(raw.declare(kind, 10_000 * n + id + 1, key.format(id)) for n, key in enumerate(several)))
                 stranger.frames(raw.request(5, ROOT + "inputs"))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # all of it has come
+                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
                 stranger.close()
         self.nobody_was_deaf()
         self.assertLess(self.memory(), before + 200, "MiB")
         self.assertGreater(self.health()["frames_refused"], 1_000, "wildcards beyond 256")
 
     def test_what_nobody_holds_any_more_is_forgotten(self):
-        """zenoh kept each key that somebody was once interested in."""
+        """Declares interest in many keys, because Zenoh once kept each of them."""
         for turn in range(3):
             stranger = self.stranger()
-            for id in range(2_500):  # in all 105,000 parts of keys
+            for id in range(2_500):  # 105,000 parts of keys in all
                 stranger.frames(raw.interest(id + 1, f"a{turn}/{id}" + "/x" * 12, mode=1 + id % 3, what=raw.TOKENS))
             stranger.frames(raw.request(5, ROOT + "inputs"))
             stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))
@@ -299,7 +299,7 @@ class Frames(WithServer):
         stranger.frames(raw.request(6, ROOT + "inputs"))
         stranger.wait_for(bytes([raw.RESPONSE_FINAL, 6]))
         asked = asker.get("new/key", timeout=PATIENCE)
-        stranger.wait_for(b"new/key")  # it was taken, so it is asked
+        stranger.wait_for(b"new/key")  # the server accepted the declaration, so it sends the query
         stranger.close()
         list(asked)
         self.nobody_was_deaf()
@@ -313,20 +313,20 @@ class Frames(WithServer):
                 for _ in range(count // 100):
                     strangers[-1].fragments(*[piece] * 100)
                 strangers[-1].frames(raw.request(5, ROOT + "inputs"))
-                strangers[-1].wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # all of it has come
+                strangers[-1].wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
                 for each in strangers:
                     each.send(bytes([raw.KEEP_ALIVE]))
         most = before + (800 if SANITIZED else 400)
         self.assertLess(self.memory(), most, "MiB: of 256 that may wait, and what else is there")
         oversized = self.health()["oversized"]
-        put(self.watcher, ROOT + "host/x/poses", bytes((1 << 20) + 1))  # in pieces, too
+        put(self.watcher, ROOT + "host/x/poses", bytes((1 << 20) + 1))  # also in pieces
         while self.health()["oversized"] == oversized:
             pass
         self.nobody_was_deaf()
 
     def test_half_handshakes_keep_nobody_out(self):
         for _ in range(400):
-            with contextlib.suppress(OSError):  # it may be sent away
+            with contextlib.suppress(OSError):  # the server may refuse it
                 self.stranger(opened=False)
         opened = time.monotonic()
         self.stranger()
@@ -368,7 +368,7 @@ class Frames(WithServer):
                         stranger.send(draw.randbytes(draw.randint(1, 40)))
                 stranger.close()
             except OSError:
-                pass  # the server let go of it
+                pass  # the server has closed it
             sessions += 1
         self.nobody_was_deaf()
         self.assertGreater(sessions, 50)

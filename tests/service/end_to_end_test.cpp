@@ -1,4 +1,4 @@
-// A session from its first pose to its recording, as a user sees it.
+// Tests whole sessions from the first pose to the recording, as a user sees them.
 #include <regex>
 #include <thread>
 
@@ -50,7 +50,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   ASSERT_EQ(crumple_follow(late, nullptr, 0), CRUMPLE_OK);
   EXPECT_TRUE(until(late, [&] { return hash_held(late) == dent; })) << "the late joiner differs";
 
-  // Who comes late and far is answered with what the server holds of that level.
+  // A late viewer of the far level gets the server's surface of that level.
   Crumple* late_far = open();
   ASSERT_EQ(crumple_follow(late_far, "box", 1), CRUMPLE_OK);
   ASSERT_TRUE(until(late_far, [&] { return hash_held(late_far) != 0; }));
@@ -75,7 +75,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   CrumpleVertices copied{nullptr, strided.data(), nullptr, 32, mesh.vertex_count, 0, 0, 0};
   ASSERT_EQ(crumple_copy(late, "box", &copied), CRUMPLE_OK);
   for (uint32_t v = 0; v < mesh.vertex_count; ++v) {
-    float expected = 0;  // of z, m
+    float expected = 0;  // of z, in m
     for (int k = 0; k < 4; ++k) {
       const auto& nodes = baked->skin_node;
       const auto at = std::lower_bound(nodes.begin(), nodes.end(), baked->model.skin[v].node[k]) - nodes.begin();
@@ -112,7 +112,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   for (const char* part : {"made by the tests", "hosts tester", "car box  at", "car/box/delta/0"})
     EXPECT_NE(info.text.find(part), std::string::npos) << part << "\n" << info.text;
 
-  // As a film, to a viewer that knows nothing of the session.
+  // Plays the recording to a viewer that has not seen the session.
   start({"replay", path("session.mcap"), "--publish", "--loop", "--listen", "tcp/127.0.0.1:0"});
   Crumple* audience = open();
   ASSERT_NE(audience, nullptr);
@@ -138,7 +138,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   EXPECT_EQ(quantum, 0.004f) << "of the keyframe that answers who comes late and far";
 }
 
-// Two servers and a router; the one that owns the scene is killed while the car is being crushed.
+// Two servers and a router. The test kills the owner of the scene in the middle of the crash.
 TEST_F(EndToEnd, ASessionOnABadLineOfItsOwnIsLateAndEndsWithTheSurfaceOfTheOthers) {
   start_server(path("impaired.mcap"));
   Crumple *host = open("tester"), *deaf = open(), *late = open(), *near = open();
@@ -147,20 +147,20 @@ TEST_F(EndToEnd, ASessionOnABadLineOfItsOwnIsLateAndEndsWithTheSurfaceOfTheOther
   ASSERT_EQ(crumple_impair(deaf, &nothing_comes), CRUMPLE_OK) << crumple_error();
   ASSERT_EQ(crumple_impair(late, &bad), CRUMPLE_OK) << crumple_error();
   spawn(host);
-  ASSERT_EQ(crumple_impair(host, &bad), CRUMPLE_OK) << crumple_error();  // its poses too
+  ASSERT_EQ(crumple_impair(host, &bad), CRUMPLE_OK) << crumple_error();  // also delays its poses
   for (Crumple* viewer : {deaf, late, near}) ASSERT_EQ(crumple_follow(viewer, "box", 0), CRUMPLE_OK);
   const auto surface = [](Crumple* viewer) {
     CrumpleSurface held{};
     return crumple_surface(viewer, "box", &held) == CRUMPLE_OK ? held : CrumpleSurface{};
   };
-  for (Crumple* viewer : {deaf, late, near})  // by the answer to a question, which no line here holds up
+  for (Crumple* viewer : {deaf, late, near})  // they get it as answers to queries, which these links do not delay
     ASSERT_TRUE(until(viewer, [&] { return surface(viewer).hash != 0; }));
   const uint64_t whole = surface(deaf).hash;
   std::atomic<bool> over = false;
-  std::map<uint64_t, Clock::time_point> first[2];  // by tick: when late and near first held it
+  std::map<uint64_t, Clock::time_point> first[2];  // by tick: the times at which `late` and `near` first held it
   std::thread both([&] {
     while (!over) {
-      crumple_poll(deaf, 0);  // who is silent for long asks for what it missed
+      crumple_poll(deaf, 0);  // polled, because a session that was not polled for long asks for lost messages
       for (int k = 0; k < 2; ++k) {
         crumple_poll(k == 0 ? late : near, 1'000);
         first[k].try_emplace(surface(k == 0 ? late : near).tick, Clock::now());
@@ -172,7 +172,7 @@ TEST_F(EndToEnd, ASessionOnABadLineOfItsOwnIsLateAndEndsWithTheSurfaceOfTheOther
   both.join();
   if (HasFatalFailure()) return;
   EXPECT_EQ(surface(deaf).hash, whole) << "it hears nothing";
-  auto most = Clock::duration::zero();  // a machine that stands still in between makes it less
+  auto most = Clock::duration::zero();  // if the machine pauses in between, the difference gets smaller
   for (const auto& [tick, when] : first[0])
     if (first[1].contains(tick)) most = std::max(most, Clock::duration(when - first[1].at(tick)));
   EXPECT_GE(most, std::chrono::milliseconds(150));
@@ -203,7 +203,7 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   auto standby = serve({"--standby", "--record", recording});
   ASSERT_TRUE(standby->read_until("holds the world")) << standby->text;
 
-  // Once and for all: from here on the car is the servers' alone.
+  // Sends the last pose: from here on only the servers move the car.
   CrumpleObstacle wall{};
   wall.shape = CRUMPLE_BOX;
   wall.size[0] = 1, wall.size[1] = 3, wall.size[2] = 3;
@@ -230,7 +230,7 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   EXPECT_LT(seconds, 30) << "5 s on a machine that does nothing else";
   EXPECT_GT(deepest(viewer), dent / 2) << "the dents of the killed server";
 
-  // When all is calm, whoever comes now is told the same.
+  // After the crash a new viewer gets the same surface.
   ASSERT_TRUE(until(host, [&] {
     CrumpleReaction reaction;
     bool calm = false;
@@ -256,7 +256,7 @@ TEST_F(EndToEnd, AServerThatStandsByGoesOnWhereTheOwnerWasKilled) {
   EXPECT_EQ(verified.code, 0) << verified.text;
 }
 
-// Two stand by, one of them behind a router of its own that goes and comes again.
+// Two standbys. One is behind a separate router, which ends and starts again.
 TEST_F(EndToEnd, OneOfTwoThatStandByGoesOnAndNoneWhoseOwnLineIsCut) {
   using Router = std::unique_ptr<Net, decltype(&net_close)>;
   const auto route = [](const std::string& at, const char* to) {
@@ -283,7 +283,7 @@ TEST_F(EndToEnd, OneOfTwoThatStandByGoesOnAndNoneWhoseOwnLineIsCut) {
 
   far_one->text.clear();
   far.reset();
-  std::this_thread::sleep_for(std::chrono::seconds(4));  // longer than all that it waits for before it takes over
+  std::this_thread::sleep_for(std::chrono::seconds(4));  // longer than all delays before a takeover
   far = route(far_endpoint, endpoint.c_str());
   ASSERT_TRUE(far_one->read_until("holds the world")) << far_one->text;
   EXPECT_EQ(far_one->text.find("takes over"), std::string::npos) << far_one->text;
@@ -291,13 +291,14 @@ TEST_F(EndToEnd, OneOfTwoThatStandByGoesOnAndNoneWhoseOwnLineIsCut) {
   uint64_t ticket = 0;
   EXPECT_TRUE(answer(host, crumple_set_parameters(host, "box", &keep, &ticket), ticket).ok) << "the owner serves on";
 
-  // Two that stand by and do not know of each other yet would both take over, and one would end: the far one is back only now.
+  // Two standbys that do not know of each other yet would both take over, and one would end. The far one has only just
+  // returned.
   std::this_thread::sleep_for(std::chrono::seconds(1));
   owner->send(SIGKILL);
   ASSERT_EQ(crumple_follow(host, "box", 0), CRUMPLE_OK);
   CrumpleSurface held{};
   EXPECT_TRUE(until(host, [&] { return crumple_surface(host, "box", &held) == CRUMPLE_OK && held.alive; }));
-  // And only one: the other sees its token.
+  // Only one may take over, because the other sees its token.
   std::this_thread::sleep_for(std::chrono::seconds(3));
   int owners = 0;
   for (const auto& one : {near_one.get(), far_one.get()}) {
@@ -321,7 +322,7 @@ TEST_F(EndToEnd, ASceneHasOneServer) {
   const Outcome second = run(arguments);
   EXPECT_EQ(second.code, 1);
   EXPECT_NE(second.text.find("has a server already"), std::string::npos) << second.text;
-  // One that was cut off meets the token of a later epoch.
+  // An owner that was cut off meets the token of a later epoch.
   ASSERT_EQ(net_announce(router.get(), "crumple/1/main/owner/2-abc"), 0) << transport_error();
   EXPECT_EQ(owner.wait(), 1);
   EXPECT_NE(owner.text.find("another has taken over"), std::string::npos) << owner.text;
@@ -348,7 +349,7 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   EXPECT_NE(text.find("made by the tests"), std::string::npos);
   EXPECT_NE(text.find("\nf "), std::string::npos);
 
-  // A preset lies over the scene's parameters.
+  // A preset overrides the scene's parameters.
   std::ofstream(path("stiff.json")) << R"({"about": "Ten times as stiff.", "parameters": [{"young_modulus": 4e7}]})";
   const Outcome stiff = run({"drive", path("scene.json"), "--preset", path("stiff.json"), "--car", car_file.string(),
                              "--connect", endpoint, "--id", "stiff"});

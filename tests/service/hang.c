@@ -1,5 +1,5 @@
-// A disk that hangs, for a program that is started with this library in LD_PRELOAD: while the file CRUMPLE_HANG is there, no
-// call on a path that ends in .mcap comes back.
+// Simulates a hung disk for a program that is started with this library in LD_PRELOAD. While the file CRUMPLE_HANG exists,
+// calls with a path that ends in .mcap do not return.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>

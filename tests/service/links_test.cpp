@@ -1,5 +1,6 @@
-// The program over bad links: viewers, hosts and servers come through proxies (bench/impaired_link.h) that lose, delay, damage,
-// stall and cut. After calm everybody holds the server's surface. Seeded; how long things took is printed, and hardly bounded.
+// Tests the program over bad links: viewers, hosts and servers connect through proxies (bench/impaired_link.h) that lose,
+// delay, damage, stall and cut. After the links are good again every viewer must have the server's surface. The tests use fixed
+// seeds. They print durations and check them only roughly.
 #include <atomic>
 #include <cmath>
 #include <thread>
@@ -26,7 +27,7 @@ double milliseconds_since(Clock::time_point start) {
 
 class Links : public Program {
  protected:
-  // One that listens on TCP and UDP, the first at `endpoint`.
+  // A server that listens on TCP and UDP; TCP is at `endpoint`.
   void start_on_both() {
     start({"serve", "--car", car_file.string(), "--listen", "tcp/127.0.0.1:0,udp/127.0.0.1:0?rel=1"});
     const size_t at = server->text.find(",udp/") + 1;
@@ -45,7 +46,7 @@ class Links : public Program {
     EXPECT_TRUE(answer(host, crumple_repair(host, "box", 0.5f, &ticket), ticket).ok);
     crash(host);
   }
-  // Until a viewer that comes now, by a good link, holds the same as this one; ms.
+  // Returns the time until this viewer has the same surface as a new viewer on a good link, ms.
   double until_equal(Crumple* viewer) {
     const auto start = Clock::now();
     Crumple* fresh = open();
@@ -141,7 +142,7 @@ TEST_F(Links, AViewerWhoseLinkWasCutIsCurrentSoonAfterItsReturn) {
   }
 }
 
-// Of a server that is heard, and whose answer was lost.
+// The viewer hears the server, but an answer of the server was lost.
 TEST_F(Links, AKeyframeThatDoesNotComeIsAskedForAgain) {
   Net* opened = nullptr;
   ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, nullptr, 0, &opened), 0) << transport_error();
@@ -160,7 +161,7 @@ TEST_F(Links, AKeyframeThatDoesNotComeIsAskedForAgain) {
   })) << questions;
 }
 
-// Its obstacles are told while the line is away.
+// The host sends its obstacles while the link is down.
 TEST_F(Links, AHostWhoseLinkIsCutInMidDriveDrivesOn) {
   start_on_both();
   if (HasFatalFailure()) return;
@@ -172,7 +173,7 @@ TEST_F(Links, AHostWhoseLinkIsCutInMidDriveDrivesOn) {
     uint64_t ticket = 0;
     if (!udp) spawn(host);
     ASSERT_TRUE(answer(host, crumple_repair(host, "box", 1, &ticket), ticket).ok);
-    // Once a second over where the wall stands.
+    // Passes the wall's place once a second.
     const auto drive = [&, start = Clock::now()] {
       const double time = std::fmod(1e-3 * milliseconds_since(start), 1);
       CrumpleCarPose pose{};
@@ -208,7 +209,7 @@ TEST_F(Links, AHostWhoseLinkIsCutInMidDriveDrivesOn) {
   }
 }
 
-// Killed: its connections go at once, without a word, and another process has its port.
+// The server is killed: its connections end at once without a message, and another process takes its port.
 TEST_F(Links, AServerAHostAndAViewerComeBackWhenTheirRouterIsKilledAndStartedAnewInACrash) {
   Router router = route("tcp/127.0.0.1:0");
   const std::string at = net_endpoint(router.get());
@@ -225,7 +226,7 @@ TEST_F(Links, AServerAHostAndAViewerComeBackWhenTheirRouterIsKilledAndStartedAne
     pose.car = "box";
     pose.pose.orientation[3] = 1;
     pose.velocity[0] = 10;
-    ASSERT_EQ(crumple_publish_poses(host, 0, &pose, 1), CRUMPLE_OK);  // and again
+    ASSERT_EQ(crumple_publish_poses(host, 0, &pose, 1), CRUMPLE_OK);  // sends again
     crumple_poll(host, 10'000);
     link.set(LinkState::cut);
     router.reset();
@@ -242,7 +243,7 @@ TEST_F(Links, AServerAHostAndAViewerComeBackWhenTheirRouterIsKilledAndStartedAne
     uint64_t ticket = 0;
     CrumpleParameters keep = crumple_keep();
     CrumpleAnswer got{};
-    EXPECT_TRUE(until(host, [&] {  // a command may be lost with the router
+    EXPECT_TRUE(until(host, [&] {  // a command may get lost with the router
       return crumple_set_parameters(host, "box", &keep, &ticket) == CRUMPLE_OK &&
              crumple_wait(host, ticket, &got) == CRUMPLE_OK && got.ok;
     })) << "the host is not heard";
@@ -253,7 +254,7 @@ TEST_F(Links, AServerAHostAndAViewerComeBackWhenTheirRouterIsKilledAndStartedAne
 TEST_F(Links, AServerAndAViewerWaitForARouterThatIsNotThereYet) {
   std::string at;
   {
-    const Router first = route("tcp/127.0.0.1:0");  // for a port
+    const Router first = route("tcp/127.0.0.1:0");  // to get a free port
     at = net_endpoint(first.get());
   }
   Router router(nullptr, net_close);

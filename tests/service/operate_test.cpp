@@ -1,5 +1,5 @@
-// What who runs a server relies on: its configuration, who is let in and to what, what it tells Prometheus, how it ends, and
-// that no sender can make its ticks long.
+// Tests what an operator relies on: configuration, access rights, the page for Prometheus, shutdown, and that no sender can
+// make ticks long.
 #include <arpa/inet.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -37,14 +37,14 @@ std::string repository_file(const char* name) {
 
 class Operate : public Program {
  protected:
-  // A session without the client library, which would keep to the rules.
+  // A session without the client library, because the library would keep to the rules.
   Session open_raw(const std::string& network = "") const {
     Net* net = nullptr;
     EXPECT_EQ(net_open("client", nullptr, endpoint.c_str(), network.empty() ? nullptr : network.c_str(), 30'000, &net), 0)
         << transport_error();
     return Session(net);
   }
-  // Polls until the condition holds; `see` gets every event.
+  // Polls until the condition holds. `see` gets every event.
   static bool until_raw(const Session& net, const std::function<void(const NetEvent&)>& see,
                         const std::function<bool()>& condition) {
     const auto deadline = Clock::now() + patience;
@@ -59,7 +59,7 @@ class Operate : public Program {
   static int put(const Session& net, const char* key, const Bytes& bytes) {
     return net_put(net.get(), key, bytes.data(), bytes.size(), NET_DATA);
   }
-  // The next Health for which the condition holds; each count and refusal under its name.
+  // Returns the next Health for which the condition holds, with each count and refusal under its name.
   static std::map<std::string, uint64_t> counts_when(const Session& net,
                                                      const std::function<bool(std::map<std::string, uint64_t>&)>& condition) {
     std::map<std::string, uint64_t> counts;
@@ -78,7 +78,7 @@ class Operate : public Program {
     EXPECT_TRUE(until_raw(net, see, [&] { return good; })) << "no such health came";
     return counts;
   }
-  // The messages of a recording by topic, and how many of each topic one tick had at most.
+  // Returns the messages of a recording by topic, and the most messages of each topic in one tick.
   static std::map<std::string, std::pair<int, int>> topics(const std::string& recording) {
     std::map<std::string, std::pair<int, int>> all;
     std::map<std::string, std::map<uint32_t, int>> of_tick;
@@ -101,7 +101,7 @@ TEST_F(Operate, OptionsComeFromAFileAndFlagsStand) {
                                                     "\"]\nlisten = \"tcp/127.0.0.1:0\"\nrate = 30\nthreads = 2\n");
   start({"serve", "--config", file, "--rate", "90"});
   EXPECT_NE(server->text.find("90 ticks a second, 2 threads"), std::string::npos) << server->text;
-  // Nothing is opened: not even the port that the server above listens on.
+  // The check opens nothing, not even a port: the server above already listens on this port.
   const Outcome checked = run({"serve", "--config", file, "--listen", endpoint, "--check-config"});
   EXPECT_EQ(checked.code, 0) << checked.text;
   EXPECT_NE(checked.text.find("30 ticks a second, 2 threads"), std::string::npos) << checked.text;
@@ -161,8 +161,7 @@ TEST_F(Operate, AWrongConfigurationIsRefusedWithFileFactAndRemedy) {
 
 // ---- who is let in, and to what ---------------------------------------------------------------------------------------------
 
-// What only servers may say, by somebody who may not: tokens of owners and of those that stand by, inputs for these, and
-// surfaces.
+// Sends messages that only servers may send: tokens of owners and standbys, inputs for standbys, and surfaces.
 void intrude(const Session& net) {
   for (const char* token :
        {"owner/2-x", "owner/1000000000-x", "owner/18446744073709551615-x", "standby/0-0", "server", "car/ghost"})
@@ -175,7 +174,7 @@ void intrude(const Session& net) {
 
 class Guarded : public Operate {
  protected:
-  // An authority, another one, and certificates of the first.
+  // A certificate authority with certificates, and a second authority.
   void SetUp() override {
     Operate::SetUp();
     std::ostringstream script;
@@ -194,7 +193,7 @@ class Guarded : public Operate {
     write("users", "game:dent-1\nplayer:look-1\nserver:serve-1\n");
   }
 
-  // The examples of the repository, with this folder's files.
+  // The example configurations of the repository, with the files of this folder.
   std::string server_network() const { return with(repository_file("server/network.json5"), "/etc/crumple", folder.string()); }
   std::string client_network() const { return with(repository_file("clients/network.json5"), "/etc/crumple", folder.string()); }
   std::string user(const std::string& name, const std::string& password) const {
@@ -220,7 +219,7 @@ class Guarded : public Operate {
     crumple_close(session);
   }
 
-  // The host dents its car; a player sees that, and whatever else it sends changes nothing.
+  // The host dents its car. A player sees the dent, and none of its other messages changes anything.
   void play(const std::string& game, const std::string& player) {
     Crumple* host = open("game", game);
     ASSERT_NE(host, nullptr);
@@ -259,7 +258,7 @@ class Guarded : public Operate {
       put(intruder, "crumple/1/main/host/game/poses", host::poses(uint64_t{1} << 62, {{"box", pose_at(500)}}));
       put(intruder, "crumple/1/main/host/intruder/obstacles", host::obstacles(i, {{}}));
     }
-    // What comes after all of this over the same link has been let through, so that would have been, too.
+    // A later query on the same link gets its answer, so the earlier messages would have arrived too if they were allowed.
     bool ended = false;
     ASSERT_EQ(net_get(intruder.get(), "crumple/1/main/car/box/key/0", nullptr, 0, 30'000, &ticket), 0);
     ASSERT_TRUE(until_raw(
@@ -268,7 +267,7 @@ class Guarded : public Operate {
     ASSERT_EQ(crumple_surface(host, "box", &surface), CRUMPLE_OK);
     EXPECT_TRUE(surface.alive);
 
-    // A host must not speak in another's name either.
+    // A host must not use another host's id either.
     const Session other = open_raw(game);
     intrude(other);
     put(other, "crumple/1/main/host/intruder/obstacles", host::obstacles(1, {{}}));
@@ -345,7 +344,7 @@ class Routed : public Guarded {
   }
 };
 
-// It has more bytes than zenoh queues on a line.
+// It has more bytes than Zenoh's queue for a link.
 TEST_F(Routed, AStandbyFetchesAWorldOfAThousandCars) {
   const Session router = route();
   const auto owner = serve("owner.mcap", {});
@@ -417,7 +416,7 @@ int connect_to(const std::string& address) {
   return socket;
 }
 
-// The whole answer, head and body.
+// Returns the whole answer, head and body.
 std::string get(const std::string& address, const std::string& what) {
   const int socket = connect_to(address);
   const std::string request = "GET " + what + " HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n";
@@ -429,7 +428,7 @@ std::string get(const std::string& address, const std::string& what) {
   return text;
 }
 
-// Every line of the format is a comment or a sample; a sample's metric has its HELP and TYPE before it.
+// Every line of the format must be a comment or a sample, and HELP and TYPE must precede the samples of a metric.
 std::map<std::string, double> parse(const std::string& answer) {
   std::map<std::string, double> samples;
   std::map<std::string, int> told;
@@ -454,7 +453,7 @@ TEST_F(Operate, PrometheusReadsWhatHealthSays) {
   ASSERT_TRUE(server->read_until("/metrics\n")) << server->text;
   const size_t at = server->text.find("http://") + 7;
   const std::string address = server->text.substr(at, server->text.find("/metrics", at) - at);
-  const int silent = connect_to(address);  // one that asks nothing keeps nobody waiting
+  const int silent = connect_to(address);  // a connection without a request delays nobody
 
   Crumple* host = open("tester");
   ASSERT_NE(host, nullptr);
@@ -466,7 +465,7 @@ TEST_F(Operate, PrometheusReadsWhatHealthSays) {
   uint64_t ticket = 0;
   EXPECT_FALSE(answer(host, crumple_spawn(host, "box", asset.c_str(), &again, &ticket), ticket).ok);
 
-  // The page is set with every Health; where its tick is the same, so must all counts be.
+  // The server updates the page with every Health. If both have the same tick, all counts must be equal.
   const Session net = open_raw();
   std::string page;
   std::map<std::string, double> metrics;
@@ -574,7 +573,8 @@ TEST_F(Operate, CarsThatCameAndWentLeaveNothingBehind) {
     EXPECT_TRUE(answer(host, crumple_spawn(host, id.c_str(), asset.c_str(), &spawn, &ticket), ticket).ok);
     EXPECT_TRUE(answer(host, crumple_despawn(host, id.c_str(), &ticket), ticket).ok);
   }
-  // The host's reactions, the cars' keyframes: none are left a second later, but health and the inputs of whoever stands by.
+  // A second later the keys of the host's reactions and the cars' keyframes must be gone. Only health and the inputs for
+  // standbys remain.
   const auto after = counts_when(net, [&](auto& health) { return health["messages"] >= 80 && health["hosts"] == 0; });
   EXPECT_LE(after.at("keys_published"), 2u);
   server->send(SIGTERM);
@@ -592,7 +592,7 @@ TEST_F(Operate, NoSenderMakesATickLong) {
   // 4000 poses and one that is too long.
   for (uint64_t i = 1; i <= 4000; ++i) put(net, "crumple/1/main/host/tester/poses", host::poses(i, {{"box", pose_at(0)}}));
   put(net, "crumple/1/main/host/tester/obstacles", Bytes((size_t{1} << 20) + 1));
-  // 5000 commands at once: each is answered, be it with a refusal.
+  // 5000 commands at once: each must get an answer, even if it is a refusal.
   const Bytes order = host::save();
   constexpr int asked = 5000;
   int done = 0, ended = 0, refused = 0;

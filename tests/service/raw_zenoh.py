@@ -1,4 +1,4 @@
-"""A zenoh session made by hand, so that it may send what zenoh's own never does. Without extensions."""
+"""A hand-made Zenoh session without extensions, which can send messages that Zenoh's own sessions never send."""
 
 import os
 import random
@@ -6,14 +6,14 @@ import socket
 import struct
 
 CLIENT, ROUTER, PEER = 2, 0, 1
-INIT, OPEN, CLOSE, KEEP_ALIVE, FRAME, FRAGMENT = 1, 2, 3, 4, 5, 6  # messages of a transport
-RESPONSE_FINAL, RESPONSE, REQUEST, PUSH, DECLARE, INTEREST = 0x1A, 0x1B, 0x1C, 0x1D, 0x1E, 0x19  # messages in a frame
+INIT, OPEN, CLOSE, KEEP_ALIVE, FRAME, FRAGMENT = 1, 2, 3, 4, 5, 6  # transport messages
+RESPONSE_FINAL, RESPONSE, REQUEST, PUSH, DECLARE, INTEREST = 0x1A, 0x1B, 0x1C, 0x1D, 0x1E, 0x19  # messages inside a frame
 RELIABLE, MORE = 0x20, 0x40
 NAMED = 0x60  # with the key's text, after the number of a declared key
-KEY, SUBSCRIBER, QUERYABLE, TOKEN = 0, 2, 4, 6  # declarations; one more takes it back
-FINAL = 0x1A  # the end of what an interest asked for
+KEY, SUBSCRIBER, QUERYABLE, TOKEN = 0, 2, 4, 6  # declarations; the number plus one withdraws each
+FINAL = 0x1A  # the end of the answers to an interest
 PUT, QUERY, REPLY = 1, 3, 4
-EVERYTHING, TOKENS = 0x0F, 0x08  # that an interest may be in: keys, subscribers, queryables, tokens
+EVERYTHING, TOKENS = 0x0F, 0x08  # kinds of interest: keys, subscribers, queryables, tokens
 
 
 def number(value):
@@ -37,7 +37,7 @@ def declare(kind, id, key, scope=0):
 
 
 def interest(id, key, scope=0, mode=3, what=EVERYTHING):
-    """mode: 1 for what is now, 2 for what comes, 3 for both"""
+    """mode: 1 for present declarations, 2 for future ones, 3 for both"""
     return bytes([INTEREST | mode << 5]) + number(id) + bytes([what | 0x70]) + wire(key, scope)
 
 
@@ -63,7 +63,7 @@ class Raw:
             self.open(lease)
 
     def open(self, lease):
-        """lease: seconds of silence, as it asks for"""
+        """lease: seconds of silence that the session requests"""
         told = self.receive()
         at = 3 + (told[2] >> 4) + (3 if told[0] & 0x40 else 0)
         size = shift = 0
@@ -98,11 +98,11 @@ class Raw:
         self.send(*(bytes([FRAME | RELIABLE]) + self.number() + each for each in bodies))
 
     def fragments(self, *pieces):
-        """Of a message that does not end."""
+        """Sends the first part of a message that never ends."""
         self.send(*(bytes([FRAGMENT | RELIABLE | MORE]) + self.number() + each for each in pieces))
 
     def wait_for(self, bytes_of_it):
-        """A message that holds these bytes."""
+        """Waits for a message that contains these bytes."""
         while bytes_of_it not in (told := self.receive()):
             pass
         return told

@@ -1,4 +1,4 @@
-// A body for tests of the kernels: meshes of awkward sizes and orders, and one in whose tets every branch is taken.
+// Bodies for tests of the kernels: meshes of awkward sizes and orders, and a body whose tets take every branch.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -59,7 +59,7 @@ inline std::unique_ptr<Mesh> box(BoxCells cells) {
   return std::make_unique<Mesh>(std::move(mesh.tets), std::move(mesh.anchored));
 }
 
-// The same, nodes and tets in any order.
+// The same mesh with nodes and tets in random order.
 inline std::unique_ptr<Mesh> shuffled_box(BoxCells cells, unsigned seed) {
   const BoxMesh from = box_mesh(cells);
   std::vector<uint32_t> order(from.tets.node.size());
@@ -79,7 +79,7 @@ inline std::unique_ptr<Mesh> shuffled_box(BoxCells cells, unsigned seed) {
   return std::make_unique<Mesh>(std::move(to), std::move(anchored));
 }
 
-// Tets around one edge: two nodes with all of them, the others with two each.
+// Tets around one edge: two nodes belong to all tets, the others to two each.
 inline std::unique_ptr<Mesh> fan(uint32_t count) {
   TetMesh mesh;
   mesh.node = {{0, 0, -0.5f}, {0, 0, 0.5f}};
@@ -91,7 +91,7 @@ inline std::unique_ptr<Mesh> fan(uint32_t count) {
   return std::make_unique<Mesh>(std::move(mesh), std::vector<uint8_t>(count + 2, 0));
 }
 
-// Fewer tets than lanes, whole groups of them, neither; any order; very unlike nodes.
+// Meshes with fewer tets than lanes, with whole groups of tets, and with neither; in random order; with very different nodes.
 inline std::vector<std::unique_ptr<Mesh>> meshes() {
   std::vector<std::unique_ptr<Mesh>> all;
   for (const BoxCells cells : {BoxCells{1, 1, 1}, BoxCells{8, 1, 1}, BoxCells{9, 4, 3}}) all.push_back(box(cells));
@@ -102,7 +102,8 @@ inline std::vector<std::unique_ptr<Mesh>> meshes() {
 
 // ---- a body in which every branch is taken ----------------------------------------------------------------------------------
 
-// Regions, side by side in groups of tets: foam; a Poisson ratio; another, soft; one that is nearly at its plastic limit.
+// Regions, side by side in groups of tets: foam; with a Poisson ratio; another Poisson ratio, soft; nearly at the plastic
+// limit.
 inline Parameters materials() {
   Parameters parameters;
   parameters.region[1].poisson_ratio = 0.3f;
@@ -120,7 +121,8 @@ struct State {
   NodalSolver solver;
   std::mt19937 random;
 
-  // Noise grows along x: at rest at the back, beyond yield in the middle, tets turned inside out in front. `noise` in m there.
+  // Noise grows along x: the back is at rest, the middle is beyond yield, and tets in front are inverted. `noise` is its size
+  // in front, m.
   State(std::unique_ptr<Mesh> of, unsigned seed, float noise) : mesh(std::move(of)), random(seed) {
     for (uint8_t& region : mesh->tet_region) region = uint8_t(random() % 4);
     body = make_body(mesh->model);
@@ -194,7 +196,7 @@ struct State {
     const auto& colour = mesh->blocks.colour;
     for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.relax_nodes(view, colour[c], colour[c + 1]);
   }
-  // As the tet stands now.
+  // The present shape of the tet.
   Gradients gradients(size_t t) const {
     Gradients out;
     for (int k = 0; k < 9; ++k) out.corner[k / 3][k % 3] = solver.tets[t / lanes].gradient[k][t % lanes];

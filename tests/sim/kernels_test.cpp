@@ -1,4 +1,4 @@
-// What `nodal` is made of: the order in which it visits a car, the same bits from every set of instructions, and each kernel
+// Tests the parts of `nodal`: the order in which it visits a car, the same bits from every instruction set, and each kernel
 // against a plain twin in double precision.
 #include <gtest/gtest.h>
 
@@ -102,7 +102,7 @@ TEST(Blocks, GroupsHaveTheTetsInTheirOrder) {
 
 // ---- same bits ----------------------------------------------------------------------------------------------------------
 
-// What `resolve` was told, and where it put the node: at its lowest point, or on a plane.
+// The arguments of `resolve`, and the place where it put the node: at the point of lowest energy, or on a plane.
 struct Told {
   State& state;
   std::vector<float> heard;
@@ -152,7 +152,7 @@ TEST(SameBits, RenewSlopeVisitAndFlowOfABodyInWhichEveryBranchIsTaken) {
           beyond += flowing[t / lanes] >> (t % lanes) & 1;
           flowed += own->kappa(t) > own->body.hardening[t];
         }
-        EXPECT_GT(own_lost, 0u);                  // inside out
+        EXPECT_GT(own_lost, 0u);                  // inverted
         EXPECT_GT(flowed, own->tets() / 4);       // flowing
         EXPECT_LT(flowed, beyond);                // beyond yield and yet not flowing
         EXPECT_LT(beyond, own->tets() * 9 / 10);  // elastic
@@ -201,7 +201,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
     if (first.empty()) {
       first = own;
       numbers = out;
-      // ... and are what they say.
+      // ... and the weights must match their definition.
       EXPECT_EQ(own[2][7].x, lists[0][7].x - lists[1][7].x);
       EXPECT_EQ(own[3][7].y, lists[0][7].y);
       EXPECT_EQ(own[4][7].z, own[2][7].z - lists[2][7].z);
@@ -223,7 +223,7 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
   }
 }
 
-// A wall goes 0.3 m into the front and back, with nothing but kernels.
+// A wall moves 0.3 m into the front and back, computed with kernels only.
 State& crash(const Kernels& kernel, State& state) {
   NodalSolver& s = state.solver;
   for (size_t b = 0; b < s.touched.size(); ++b) {
@@ -289,11 +289,11 @@ TEST(SameBits, AWholeCrash) {
 
 // ---- twins ----------------------------------------------------------------------------------------------------------------
 
-// The energy of nodal.h about one node, in double precision and from the tets.
+// The energy of nodal.h around one node, computed from the tets in double precision.
 struct Plain {
   Vector3d gradient;
   Matrix3d hessian;
-  double size = 0;  // of what was added up, N
+  double size = 0;  // sum of the sizes of all terms, N
 };
 Plain plain(const State& state, uint32_t i) {
   const auto vec = [](const Float4& q) { return Vector3d(q.x, q.y, q.z); };
@@ -349,7 +349,7 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
     };
     const std::vector<Float4> before = own->solver.node;
     own->visit(kernel, view);
-    EXPECT_TRUE(same(before, own->solver.node));  // nothing moves while it measures
+    EXPECT_TRUE(same(before, own->solver.node));  // measuring must move nothing
     double largest = 0;
     for (uint32_t i = 0; i < model.node.size(); ++i) largest = std::max(largest, plain(*own, i).size);
     for (uint32_t i = 0; i < model.node.size(); ++i) {
@@ -358,7 +358,7 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       EXPECT_LT((heard.gradient[i] - expected.gradient).norm(), 2e-4 * expected.size + 1e-6 * largest) << "node " << i;
       EXPECT_LT((heard.hessian[i] - expected.hessian).norm(), 1e-4 * expected.hessian.norm()) << "node " << i;
     }
-    // Now for good, the first colour: nodes that share no tet.
+    // Now it moves the first colour: nodes that share no tet.
     std::fill(own->solver.touched.begin(), own->solver.touched.end(), uint16_t(0));
     std::vector<Plain> expected;
     for (uint32_t i = 0; i < model.node.size(); ++i) expected.push_back(plain(*own, i));
@@ -413,7 +413,7 @@ TEST(Twin, RenewCountsTheTetsThatHaveLostTheirShape) {
   EXPECT_EQ(lost, expected);
 }
 
-// A tet that is beyond yield but did not flow after all (here: inside out) must not stay soft when it is whole again.
+// A tet that is beyond yield but did not flow (here because it is inverted) must not stay soft after it has recovered.
 TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
   std::vector<Float4> first;
   for (const Kernels* kernel : all_kernels()) {
@@ -431,7 +431,7 @@ TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
     EXPECT_EQ(own->renew(*kernel), own->tets());
     EXPECT_EQ(own->flow(*kernel), 0);
     mirror(1);
-    own->solver.node.front().x -= 0.2f;  // but for a few tets around one node
+    own->solver.node.front().x -= 0.2f;  // except for a few tets around one node
     own->renew(*kernel);
     size_t soft = 0;
     for (size_t t = 0; t < own->tets(); ++t) {

@@ -1,4 +1,4 @@
-// How `nodal` gets to its answer and back: mixing, bodies that have lost their shape, bodies that come to rest and are woken.
+// Tests how `nodal` converges and recovers: mixing, bodies that have lost their shape, bodies that come to rest and wake up.
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
@@ -19,7 +19,7 @@ using Vector3d = Eigen::Vector3d;
 // ---- Anderson's acceleration
 // -----------------------------------------------------------------------------------------------------------------
 
-// A map x -> A x + b whose slowest part needs hundreds of steps, on 25 nodes of 28 places.
+// A map x -> A x + b whose slowest component needs hundreds of steps, with 25 nodes in 28 places.
 struct Linear {
   static constexpr size_t count = 25, places = 28;
   static constexpr float factor[5] = {0.995f, 0.97f, 0.8f, 0.3f, -0.6f};
@@ -109,7 +109,7 @@ TEST(Anderson, IsUndoneAndForgottenWhereItMadeTheResidualGrow) {
   EXPECT_TRUE(same(swept, linear.node));
   EXPECT_EQ(linear.history.count, 0);
   const double start = linear.error();
-  for (int k = 0; k < 12; ++k) {  // and it begins anew
+  for (int k = 0; k < 12; ++k) {  // and it starts again
     linear.step();
     linear.mix();
   }
@@ -138,13 +138,13 @@ TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
 // ---- bodies that have lost their shape or come to rest
 // -----------------------------------------------------------------------
 
-// A car whose path is law, and a wall that goes as it is told.
+// A car on a scripted path, and a wall with a given motion.
 struct Scene : Crash {
   Scene() { scripted(); }
   void ticks(int count) {
     for (int k = 0; k < count; ++k) tick();
   }
-  // How far a node stands in the wall, m.
+  // Returns how deep a node is in the wall, m.
   double inside() const {
     double most = -1;
     for (const Vec3& node : body.node) most = std::max(most, double(node.x()) - (obstacles[0].pose.position.x() - 0.5));
@@ -158,7 +158,7 @@ struct Scene : Crash {
     }
     return count;
   }
-  // An elastic body under a wall that has come in 40 mm and stands.
+  // An elastic body with a wall that has moved in by 40 mm and stopped.
   void press() {
     for (Material& material : parameters.region) material.yield_strain = 0.2f;
     wall(0).velocity.x() = -0.6;
@@ -220,10 +220,10 @@ TEST(LostShape, ACarThatWallsCrushedToNothingIsSoundWhenTheyAreGone) {
   for (int k = 0; k < 180 && !scene.body.settled; ++k) scene.tick();
   EXPECT_TRUE(scene.body.settled);
   EXPECT_EQ(scene.inverted(), 0u);
-  EXPECT_GT(scene.crush(), 0.1);  // and it remembers
+  EXPECT_GT(scene.crush(), 0.1);  // and the dent stays
 }
 
-// Positions of single precision cannot tell the strain of a tet that is a hair thick.
+// Positions in single precision cannot resolve the strain of a tet that is as thin as a hair.
 TEST(LostShape, ATetTooThinToBeMeasuredDoesNotFlowAndTheCarDentsWithIt) {
   BoxMesh mesh = box_mesh({});
   std::vector<Tet>& tets = mesh.tets.tet;
@@ -233,7 +233,7 @@ TEST(LostShape, ATetTooThinToBeMeasuredDoesNotFlowAndTheCarDentsWithIt) {
     const Vec3 area = (at(2) - at(1)).cross(at(3) - at(1));
     return std::pair(std::fabs(area.normalized().dot(at(0) - at(1))), Vec3(area.normalized()));
   };
-  // One corner of a tet in the nose goes to 10 um above the face opposite; its other tets only grow or shrink a little.
+  // One corner of a tet in the nose moves to 10 um above the opposite face. Its other tets only grow or shrink a little.
   uint32_t flat = UINT32_MAX;
   for (uint32_t t = 0; t < tets.size() && flat == UINT32_MAX; ++t) {
     for (int corner = 0; corner < 4; ++corner) {
@@ -275,7 +275,8 @@ TEST(Rest, UnderALoadItCostsNothingAndStillTellsItsForce) {
   EXPECT_TRUE(scene.body.touching);
   const Vector3d force = scene.body.force;
   EXPECT_LT(force.x(), -1e4);
-  // 40 mm over the 1.5 m in front of the cell, of 1.8 m x 1.5 m: E A strain, and a little more where the cell holds the rim.
+  // A strain of 40 mm over the 1.5 m in front of the cell, with an area of 1.8 m x 1.5 m. The force is E A strain, and a little
+  // more because the cell holds the rim.
   EXPECT_NEAR(force.x(), -double(scene.parameters.region[0].young_modulus) * 2.7 * 0.04 / 1.5, 0.25 * -force.x());
   const uint64_t before = hash(scene.body);
   for (int k = 0; k < 60; ++k) EXPECT_EQ(scene.tick().substeps, 0u);
@@ -289,7 +290,7 @@ TEST(Rest, AnObstacleThatLeavesWakesIt) {
     scene.press();
     ASSERT_TRUE(scene.body.settled);
     scene.obstacles[0].velocity.x() = speed;
-    scene.ticks(int(60 * 0.025 / speed));  // while it is still within reach, the body follows it
+    scene.ticks(int(60 * 0.025 / speed));  // while the wall is within reach, the body follows it
     EXPECT_GT(scene.inside(), -3e-3) << speed << " m/s";
     scene.ticks(120 + int(60 * 0.05 / speed));
     EXPECT_TRUE(scene.body.settled);

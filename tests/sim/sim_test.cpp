@@ -1,4 +1,4 @@
-// The physics rooms: doors with hand-calculated numbers, twins, and the laws that hold in any scene.
+// Tests the physics: doors with hand-calculated numbers, twins, and the laws that hold in every scene.
 #include <gtest/gtest.h>
 
 #include <Eigen/Dense>
@@ -180,7 +180,7 @@ TEST(Contacts, WhatIsDrivenAtIsMetAndWhatIsPassedByIsNot) {
   EXPECT_FALSE(meets({1e-3, 0, 0}, {nose + 0.5, 0, 0}, wall)) << "a host that rounds";
 }
 
-// Steady motion says that the light car stands: it is the block that drives it through the plate within one tick.
+// By its own motion the light car stands still, but the block pushes it through the plate within one tick.
 TEST(Contacts, ACarIsNotPushedThroughWhatItStandsBeside) {
   Crash crash;
   crash.mass.mass = 100;
@@ -310,7 +310,7 @@ TEST(Flow, AfterwardsTheStressLiesOnTheHardenedYieldSurface) {
 }
 
 TEST(Flow, APressedFoamCompactsAndDoesNotBulge) {
-  Material material;  // Poisson ratio 0 of strain and of flow
+  Material material;  // Poisson ratio 0 for elastic strain and for flow
   Gradients gradients = identity_gradients();
   float kappa = 0;
   flow(elastic(material), yield_law(material), Vec3(0.8f, 1, 1).asDiagonal(), gradients, kappa);
@@ -351,14 +351,15 @@ TEST(Flow, SecantModuliGiveTheFlowedStressAtTheTrialStrain) {
   const Elastic soft = secant(e, law, f, 0);
   const double trial = kirchhoff(e, f.cast<double>()).norm(), flowed = kirchhoff(soft, f.cast<double>()).norm();
   EXPECT_LT(flowed, 0.2 * trial);
-  // |tau| = start + slope kappa with kappa = what the stress gave up, in strain.
+  // |tau| = start + slope kappa, where kappa is the released stress as a strain.
   const double kappa = (trial - flowed) / material.young_modulus;
   EXPECT_NEAR(flowed, law.start + law.slope * kappa, 0.02 * flowed);
 }
 
 // ---- twin: the sweeps against an independent gradient in double precision -------------------------------------------------
 
-// Elastic forces on the nodes by a plain gradient in double precision, N, and the sum of their sizes over a node's tets.
+// Returns the elastic forces on the nodes from a plain gradient in double precision, N, and the sum of their sizes over the
+// tets of each node.
 struct Forces {
   std::vector<Eigen::Vector3d> force;
   std::vector<double> size;
@@ -387,7 +388,7 @@ Forces elastic_forces(const Crash& crash) {
   return out;
 }
 
-// Scripted, converged, and nothing flows: the minimiser is a plain one.
+// Scripted and converged, and nothing flows, so the minimiser is a plain one.
 void minimise_elastically(Crash& crash) {
   crash.scripted();
   crash.parameters.iterations = 400;
@@ -421,7 +422,7 @@ TEST(Nodal, ConvergedNodesCarryNoForceByAnIndependentDoublePrecisionGradient) {
 TEST(Nodal, TwoPlanesTogetherPressWithTheForceThatTheirNodeLacks) {
   Crash crash;
   minimise_elastically(crash);
-  // Two poles along z with a cleft between them that closes on the middle of the nose: their planes meet at 60 degrees.
+  // The gap between two poles along z closes on the middle of the nose. Their planes meet at 60 degrees.
   for (const double side : {0.1, -0.1}) {
     Obstacle& pole = crash.obstacles.emplace_back();
     make_capsule(0.2f, 3, pole);
@@ -480,7 +481,7 @@ TEST(Law, EnergyBroughtIsAbsorbedStoredOrLeftHoweverLongTheSubSteps) {
     double absorbed = 0;
     for (int k = 0; k < 30; ++k) {
       crash.tick();
-      EXPECT_GE(crash.body.absorbed, absorbed);  // what is absorbed stays so
+      EXPECT_GE(crash.body.absorbed, absorbed);  // absorbed energy never decreases
       absorbed = crash.body.absorbed;
     }
     EXPECT_NEAR(crash.energy() / brought, 1, 0.005) << speed << " m/s, " << substeps << " sub-steps";
@@ -608,7 +609,7 @@ TEST(Law, ALightHitAgainAndAgainDoesNotCreep) {
     if (hit == 0) first = crash.body.absorbed;
   }
   EXPECT_GT(first, 0);
-  EXPECT_LT(crash.body.absorbed, 1.35 * first);  // the drag of nine elastic hits, no flow
+  EXPECT_LT(crash.body.absorbed, 1.35 * first);  // from the drag of nine elastic hits without flow
 }
 
 TEST(Law, TheCellHoldsAndNoTetIsInvertedAfterADeepPush) {
@@ -648,7 +649,8 @@ TEST(Law, ResidualCrushDoesNotDependOnTheSweepCount) {
 
 TEST(Law, AWallThatReachesTheCellStopsTheCarAndMovesTheCellLittle) {
   Crash crash;
-  for (Material& material : crash.parameters.region) material.young_modulus = 1e6f;  // soft: the nose is not enough
+  for (Material& material : crash.parameters.region)
+    material.young_modulus = 1e6f;  // so soft that the nose alone cannot stop the car
   crash.wall();
   crash.motion.velocity = {25, 0, 0};
   const double brought = crash.energy();
@@ -669,8 +671,8 @@ TEST(Law, AnObstacleBornInsideIsLeftGently) {
   for (const Vec3& node : crash.body.node) EXPECT_TRUE(node.allFinite());
 }
 
-// Four half-spaces close over a car from all sides, until they overlap: their forces are far beyond any that a crash has, and
-// say nothing of where the car should go.
+// Four half-spaces close on a car from all sides until they overlap. Their forces are far larger than in any crash, and give
+// the car no sensible direction.
 TEST(Law, ObstaclesThatLeaveACarNoRoomDoNotThrowIt) {
   constexpr double speed = 5;
   Crash crash;
@@ -690,7 +692,7 @@ TEST(Law, ObstaclesThatLeaveACarNoRoomDoNotThrowIt) {
   }
 }
 
-// Two walls leave a node the wedge between them, and that begins far away where they are nearly parallel.
+// Two nearly parallel walls leave a node only the wedge between them, which begins far away.
 TEST(Law, WallsThatCloseAtASharpAngleDoNotSendNodesToWhereTheyMeet) {
   Crash crash;
   crash.scripted();
@@ -704,7 +706,7 @@ TEST(Law, WallsThatCloseAtASharpAngleDoNotSendNodesToWhereTheyMeet) {
   }
   for (int k = 0; k < 60; ++k) {
     EXPECT_FALSE(crash.tick().recovered) << "tick " << k;
-    ASSERT_LT(crash.farthest(), 10) << "tick " << k;  // without the bound: 11 m, and farther
+    ASSERT_LT(crash.farthest(), 10) << "tick " << k;  // without the bound: 11 m and more
   }
 }
 
@@ -800,21 +802,21 @@ TEST(Classic, WithoutPlasticityTheDentGoesAndWithItStays) {
   }
 }
 
-// The box car, fast and turning, among six obstacles around it.
+// The box car, fast and turning, with six obstacles around it.
 Crash random_scene(int scene, std::mt19937& random) {
   std::uniform_real_distribution<double> unit(-1, 1);
   Crash crash;
   crash.mass.planar = scene % 2;
   crash.parameters.iterations = 12;
   crash.motion.velocity = 30 * Eigen::Vector3d(unit(random), unit(random), 0.2 * unit(random));
-  if (crash.mass.planar) crash.motion.velocity.z() = 0;  // nothing could slow it there
+  if (crash.mass.planar) crash.motion.velocity.z() = 0;  // nothing could slow it in z
   crash.motion.angular_velocity = 5 * Eigen::Vector3d(0, 0, unit(random));
   for (int k = 0; k < 6; ++k) {
     Obstacle obstacle;
     if (k % 3 == 0) make_box(Vec3::Constant(float(0.3 + 0.2 * unit(random))), obstacle);
     if (k % 3 == 1) make_sphere(float(0.4 + 0.2 * unit(random)), obstacle);
     if (k % 3 == 2) make_capsule(0.2f, 2, obstacle);
-    // Around the car, not in it.
+    // Around the car, but not inside it.
     const Eigen::Vector3d direction = Eigen::Vector3d(unit(random), unit(random), 0.3 * unit(random)).normalized();
     obstacle.pose.position = Eigen::Vector3d(0, 0, 0.7) + 3.4 * direction;
     crash.obstacles.push_back(obstacle);
@@ -823,8 +825,9 @@ Crash random_scene(int scene, std::mt19937& random) {
 }
 
 TEST(Hostile, RandomScenesStayFiniteAndCreateNoEnergy) {
-  // Of the 1,800 scenes of seeds 1 to 150 one in eighty ends with more, the worst with 1.66 times: cells of half a metre, hit
-  // at up to 40 m/s, absorb more in one sub-step than the motion has. Nothing of that ever moves a car.
+  // Of the 1,800 scenes of seeds 1 to 150 one in eighty ends with more energy, the worst with 1.66 times the initial energy:
+  // cells of half a metre, hit at up to 40 m/s, absorb more in one sub-step than the motion has. This surplus never moves a
+  // car.
   const unsigned seed = GTEST_FLAG_GET(random_seed) > 0 ? unsigned(GTEST_FLAG_GET(random_seed)) : 1;
   std::mt19937 random(seed);
   for (int scene = 0; scene < 12; ++scene) {
@@ -840,8 +843,8 @@ TEST(Hostile, RandomScenesStayFiniteAndCreateNoEnergy) {
   }
 }
 
-// Those in which bodies stored the most that no motion gave them: cars that got it back ended with 1.14 to 1.47 times the
-// energy.
+// The scenes in which bodies stored the most energy that did not come from the motion. When this energy was returned to the
+// motion, cars ended with 1.14 to 1.47 times the initial energy.
 TEST(Hostile, WhatTheMotionDidNotGiveIsNotReturnedToIt) {
   for (const auto& [seed, number] : {std::pair{82u, 10}, {146u, 2}, {25u, 11}, {65u, 9}}) {
     std::mt19937 random(seed);

@@ -1,4 +1,4 @@
-// Helpers of one car's tick: who does a piece, and when the caller does without them.
+// Tests the threads that help with one car: which thread does a piece, and when the caller works alone.
 #include "sim/team.h"
 
 #include <gtest/gtest.h>
@@ -11,7 +11,7 @@
 namespace crumple {
 namespace {
 
-// Whether the work came in pieces, and not as a whole.
+// Whether the work came in pieces instead of as a whole.
 bool shared(Team& team) {
   bool pieces = false;
   std::atomic<uint32_t> done = 0;
@@ -32,7 +32,7 @@ TEST(Team, GoesOnAloneForAWhileAfterHelpersHaveKeptItWaitingTwice) {
       team.gather();
       ASSERT_TRUE(shared(team)) << "tick " << tick;
       for (int phase = 0; phase < 2; ++phase) {
-        std::atomic<bool> first = true;  // a helper is put aside in the middle of a piece
+        std::atomic<bool> first = true;  // the system suspends a helper in the middle of a piece
         team.run(0, 64, 1, [&](uint32_t, uint32_t) {
           if (std::this_thread::get_id() == caller) return std::this_thread::yield();
           if (first.exchange(false)) std::this_thread::sleep_for(std::chrono::milliseconds(20));

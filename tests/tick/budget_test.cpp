@@ -1,4 +1,4 @@
-// The time budget: what a tick may take at most, whom it is taken from, and that it is an input like any other.
+// Tests the budget: the most work in a tick, which cars get less, and that the budget is an input like any other.
 #include "tick/budget.h"
 
 #include <gtest/gtest.h>
@@ -30,12 +30,12 @@ const std::shared_ptr<const Car>& box() {
 struct Result {
   std::vector<uint64_t> hashes;  // after each tick
   std::vector<Work> works;
-  std::vector<std::vector<int>> sweeps;  // by tick and car, of all sub-steps
+  std::vector<std::vector<int>> sweeps;  // by tick and car, summed over sub-steps
   std::map<std::string, HealthReport::Count> counts;
 };
 
-// Six cars hit a wall; those with odd numbers are of little importance. budget: by tick, from the first on; nothing: none is
-// said.
+// Six cars hit a wall. Cars with odd numbers have little importance. budget: by tick, from the first on; empty: no budget is
+// sent.
 Result pile_up(const std::function<std::optional<uint64_t>(int tick)>& budget, int threads = 1) {
   const WorldHandle world = make_world(60, 0.0005f);
   add_asset(*world, box());
@@ -84,7 +84,7 @@ uint64_t most(const Result& result) {
 
 TEST(Budget, ThatIsNotReachedChangesNoBitOfTheCars) {
   const Result free = unlimited();
-  const uint64_t enough = 2 * cars * sweeps * 8 * 4 * box()->model.tet.size();  // also for halved sub-steps
+  const uint64_t enough = 2 * cars * sweeps * 8 * 4 * box()->model.tet.size();  // also if sub-steps are halved
   const Result with = limited(enough);
   const Result again = pile_up([&](int k) {
     return k == 0 ? std::optional(enough) : k == 11 ? std::optional<uint64_t>(0) : std::nullopt;
@@ -105,7 +105,7 @@ TEST(Budget, IsKeptAndSpentOnWhatMatters) {
     shed += result.works[k].shed;
     for (int car = 0; car < cars; ++car) {
       EXPECT_NE(result.sweeps[k][car], 1);
-      if (std::count(result.sweeps[k].begin(), result.sweeps[k].end(), 0) > 0) continue;  // not all are solved
+      if (std::count(result.sweeps[k].begin(), result.sweeps[k].end(), 0) > 0) continue;  // not all cars are solved
       (car % 2 ? others : important) += result.sweeps[k][car];
     }
   }
@@ -118,7 +118,7 @@ TEST(Budget, IsKeptAndSpentOnWhatMatters) {
   EXPECT_GT(result.counts["residual_mean_nm"].value, 0u);
 }
 
-// Box cars are so coarse that a sub-step may be as long as the tick.
+// Box cars are so coarse that a sub-step may be as long as a tick.
 TEST(Budget, TooSmallForAllLeavesEachASubstepOfFourSweeps) {
   const Result result = limited(1);
   for (const auto& of_tick : result.sweeps) {
@@ -128,7 +128,7 @@ TEST(Budget, TooSmallForAllLeavesEachASubstepOfFourSweeps) {
 
 const host::Thing front_wall{1, schema::Shape::box, {0.5f, 50, 5}, pose_at(2.25 + 0.02 + 0.5, 0, 1)};
 
-// Cars that rest against the wall, or stand before it where they do not, as fast as the host says; then what wakes them all.
+// Cars that rest against the wall, or stand before it, with the velocity from the host; then an event wakes all of them.
 void expect_woken_within_the_budget(float speed,
                                     const std::function<void(Inbox&, const std::function<Message(double x)>&)>& wake) {
   const WorldHandle world = make_world(60, 0.0005f);
@@ -181,7 +181,7 @@ TEST(Budget, CountsCarsThatStandWhenAWallIsPutIntoThem) {
   });
 }
 
-// 240 ticks a second: a tick is no longer than a sub-step, so that there is nothing to halve.
+// At 240 ticks a second a tick is as long as a sub-step, so there is nothing to halve.
 TEST(Budget, TakesNoSubstepsAwayWhereATickIsOne) {
   const WorldHandle world = make_world(240, 0.0005f);
   add_asset(*world, box());
@@ -195,7 +195,7 @@ TEST(Budget, TakesNoSubstepsAwayWhereATickIsOne) {
   EXPECT_EQ(world->cars.at("a").result.sweeps, 4u);
 }
 
-// A car of so many cells in its first tick at a wall, with next to no budget.
+// Presses a car of this many cells against a wall for its first tick, with almost no budget.
 StepResult pressed(const BoxCells& cells) {
   const auto fine = box_car(cells);
   const WorldHandle world = make_world(60, 0.0005f);

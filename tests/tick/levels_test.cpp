@@ -1,4 +1,4 @@
-// Levels of a car: what a body keeps when it changes its mesh, and when the world changes it.
+// Tests the levels of a car: what a body keeps when it changes its mesh, and when the world changes the mesh.
 #include "tick/levels.h"
 
 #include <gtest/gtest.h>
@@ -38,7 +38,7 @@ const std::shared_ptr<const Car>& level(int which) {
 
 // ---- transfer ---------------------------------------------------------------------------------------------------------------
 
-// A body as an even deformation of the whole car makes it, the part `plastic` of it for good.
+// A body after a uniform deformation of the whole car, of which the share `plastic` is permanent.
 DeformableState evenly(const Model& model, const Eigen::Matrix3f& whole, const Eigen::Matrix3f& plastic) {
   DeformableState body = make_body(model);
   for (Vec3& node : body.node) node = whole * node;
@@ -103,7 +103,7 @@ TEST(Levels, AreCarsOfTheSameSurfaceOnly) {
   EXPECT_FALSE(same_surface(*level(0), *box_car({12, 6, 5})));
 }
 
-// One surface baked twice, with two masses: there is no map between levels of one size.
+// One surface, baked twice with two masses: there is no map between levels of the same size.
 TEST(Levels, AreOneOfEachSizeWhateverTheOrderInWhichTheyAreGiven) {
   const auto heavy = read_car(box_car_bytes({5, 2, 2}, 2000, 4.5f, drawn), "heavy");
   std::vector<std::shared_ptr<const Car>> all = {level(0), level(1), level(2), heavy};
@@ -139,13 +139,13 @@ struct Scene {
     step({{"car/a", host::spawn(level(which)->hash, "game"), 1}});
     EXPECT_TRUE(host::read_as<schema::Answer>(outbox.at(0).bytes)->ok());
   }
-  // A car that stands; scripted, so that it stays where it is.
+  // A standing car, scripted so that it keeps its place.
   Message pose(float importance, float speed = 0, double x = 0) {
     CarPose car{"a", pose_at(x), {speed, 0, 0}};
     car.importance = importance;
     return {"host/game/poses", host::poses(++sequence, {car})};
   }
-  // A wall whose face is so far ahead of the car's nose, or behind the tail of a car that stands at 0.
+  // A wall with its face at this distance ahead of the car's nose, or behind the tail of a car that stands at 0.
   Message wall(double gap) { return wall_at(2.75 + gap); }
   Message wall_behind(double gap) { return wall_at(-2.75 - gap); }
   Message wall_at(double x) {
@@ -157,7 +157,7 @@ struct Scene {
 
 size_t nodes(int which) { return level(which)->model.node.size(); }
 
-// The car drives into a wall and comes to rest before it; importance from the first pose on.
+// The car drives into a wall and comes to rest before it. importance: from the first pose on.
 void crash(Scene& scene, float importance) {
   scene.step({scene.wall(0.3)});
   for (int k = 0; k < 6; ++k) scene.step({scene.pose(importance, 12, 0.2 * k)});
@@ -191,7 +191,8 @@ TEST(Levels, ChooseTheFinestThatHasNoMoreThanTheShareOfNodes) {
   EXPECT_EQ(scene.nodes(), nodes(1)) << "none is finer than the asset that was asked for";
 }
 
-// Poles as wide as the middle level's edges are long, and narrower than any: neither importance nor a budget makes it coarser.
+// One pole is as wide as the middle level's edges are long, another narrower than all edges: neither importance nor a budget
+// may choose a coarser level.
 TEST(Levels, AreNoCoarserThanWhatIsNearIsWide) {
   ASSERT_LT(level(1)->mean_edge, level(2)->mean_edge);
   for (const auto& [width, which] : std::vector<std::pair<float, int>>{{level(1)->mean_edge, 1}, {0.05f, 0}, {2, 2}}) {
@@ -267,8 +268,8 @@ TEST(Levels, WaitWhileAnObstacleTouches) {
   EXPECT_EQ(scene.nodes(), nodes(0));
 }
 
-// Three cars that will hit a wall within half a second, the second of which matters most. changed: it came to its level just
-// now. Returns their nodes.
+// Three cars will hit a wall within half a second; the second car has the highest importance. changed: the car has just changed
+// its level. Returns their numbers of nodes.
 std::vector<size_t> before_a_pile_up(double share_of_what_three_fine_cars_take, float least = 0.5f, const char* changed = "") {
   Scene scene;
   Inbox inbox = {scene.wall(3)};
@@ -339,7 +340,7 @@ TEST(Levels, ASavedStateIsLoadedOnItsOwnLevel) {
   EXPECT_EQ(other.car().told[0].latest, scene.car().told[0].latest);
 }
 
-// Forty cars before a wall, more than a worker takes at once, half of which change their level in the same tick; on a budget.
+// Forty cars before a wall, more than a worker takes at once. Half of them change their level in the same tick, with a budget.
 void drive_forty(Scene& scene) {
   Inbox inbox = {scene.wall(1.5)};
   std::vector<CarPose> poses;

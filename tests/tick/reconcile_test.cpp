@@ -1,4 +1,4 @@
-// Which motion a tick starts from, with numbers worked out by hand.
+// Tests the motion at the start of a tick, with numbers calculated by hand.
 #include "tick/reconcile.h"
 
 #include <gtest/gtest.h>

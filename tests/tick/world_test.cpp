@@ -1,5 +1,5 @@
-// The tick from outside: bytes in, bytes out. What hosts may do, what they may not, what viewers hold, and that the same
-// messages give the same world whatever the number of threads.
+// Tests the tick from outside, with bytes in and bytes out: what hosts may do and may not do, which surfaces viewers hold, and
+// that the same messages give the same world on any number of threads.
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
 
@@ -29,7 +29,7 @@ const std::shared_ptr<const Car>& box() {
   static const auto car = box_car({4, 2, 2});
   return car;
 }
-// One cell of six tets: for tests that need thousands of worlds.
+// A car of one cell with six tets, for tests that need thousands of worlds.
 const std::shared_ptr<const Car>& cell() {
   static const auto car = box_car({1, 1, 1});
   return car;
@@ -50,7 +50,7 @@ struct Scene {
     tick(*world, inbox, outbox, threads);
     return outbox;
   }
-  // The answer to a command: "" if it was done, else the sentence.
+  // Returns the answer to a command: "" if the world did it, else the sentence.
   std::string ask(const std::string& car, const Bytes& bytes, Bytes* state = nullptr) {
     step({{"car/" + car, bytes, ++ticket}});
     for (const Message& message : outbox) {
@@ -79,7 +79,7 @@ struct Scene {
   }
 };
 
-// Two sweeps a sub-step: for tests that need many ticks and no accuracy.
+// Two sweeps in a sub-step, for tests that need many ticks and no accuracy.
 Bytes quick() {
   return host::parameters([](auto& p) { p.add_iterations(2); });
 }
@@ -98,7 +98,7 @@ bool finite(const World& world) {
 // A wall whose face is at x.
 Thing wall(float x, uint32_t id = 1) { return {id, schema::Shape::box, {0.5f, 5, 5}, pose_at(double(x) + 0.5, 0, 1)}; }
 
-// One car at 14 m/s into a wall 0.1 m before its nose; the host takes what it is told, one tick late.
+// One car drives at 14 m/s into a wall 0.1 m before its nose. The host applies each reaction one tick late.
 void crash(
     Scene& scene, int ticks, const std::function<void(const Outbox&)>& see = [](const Outbox&) {}) {
   scene.spawn("a");
@@ -376,8 +376,8 @@ struct Frame {
 
 constexpr size_t levels = surface_levels.size();
 
-// A heavy car is pressed by a slow wall, which then goes away: as its viewers on each surface level see it, long enough for
-// keyframes in between.
+// A slow wall presses a heavy car and then goes away. Viewers on each surface level follow it, long enough for keyframes in
+// between.
 const std::vector<Frame>& film(size_t level) {
   static const auto films = [] {
     Scene scene;
@@ -389,7 +389,7 @@ const std::vector<Frame>& film(size_t level) {
       if (k == 0) inbox = {{"car/a", host::spawn(box()->hash, "game", pose_at(0), 1e6f)}, {"car/a", quick()}};
       if (k == 2) inbox = {{"host/game/obstacles", host::obstacles(1, {press})}};
       if (k == 80) inbox = {{"host/game/obstacles", host::obstacles(2, {})}};
-      inbox.push_back({"host/game/poses", host::poses(k + 1, {{"a"}})});  // scripted: it stands
+      inbox.push_back({"host/game/poses", host::poses(k + 1, {{"a"}})});  // scripted, so the car stands
       scene.step(inbox);
       const Message report = health(*scene.world, 0, {});
       for (size_t each = 0; each < levels; ++each) {
@@ -462,7 +462,7 @@ TEST(Viewers, LostAndRepeatedDeltasDoNotMatter) {
   }
 }
 
-// How far off the surface that a viewer holds is from the body, m: on one axis of one node of the skin.
+// The distance of a viewer's surface from the body, m: on one axis of one node of the skin.
 float farthest_off(const Instance& car, const viewer::Surface& held) {
   float most = 0;
   for (size_t i = 0; i < car.car->skin_node.size(); ++i) {
@@ -548,9 +548,9 @@ TEST(Viewers, CarsThatCrashAtOnceTellTheFarOnesInTurns) {
   EXPECT_LE(most, size_t(many) / 6);
 }
 
-// A viewer behind a bad line: messages are lost, doubled and late by up to two seconds, so that they overtake each other;
-// questions and answers too. It asks when it lacks a keyframe, and when it has heard nothing for half a second, as the client
-// library does.
+// A viewer behind a bad link: messages are lost, repeated, and late by up to two seconds, so that they overtake each other; so
+// are queries and answers. The viewer asks when it lacks a keyframe, and when it has heard nothing for half a second, like the
+// client library.
 struct Weather {
   std::mt19937 random;
   size_t level;
@@ -690,7 +690,7 @@ TEST(State, SavedAtRestAndLoadedItIsTheSameBodyBitForBit) {
   EXPECT_EQ(other.sent("car/b/key/0").size(), 1u) << "viewers are told at once";
   EXPECT_EQ(other.car("b").told[0].latest, scene.car("a").told[0].latest);
   const DeformableState& crashed = scene.car("a").body;
-  DeformableState body = make_body(box()->model);  // all but the memory of the last sub-step, which Save leaves out
+  DeformableState body = make_body(box()->model);  // everything except the memory of the last sub-step, which Save leaves out
   body.node = crashed.node;
   body.gradients = crashed.gradients;
   body.hardening = crashed.hardening;
@@ -712,7 +712,7 @@ TEST(State, AWorldSavedInMidCrashGoesOnBitForBit) {
   const Bytes bytes = save_world(*scene.world);
   EXPECT_LT(bytes.size(), 100'000u) << "the car that nothing touched took room for its body";
   Scene copy;
-  copy.spawn("old");  // goes
+  copy.spawn("old");  // is despawned
   load_world(bytes, *copy.world);
   EXPECT_EQ(cars(*copy.world), cars(*scene.world));
   for (uint64_t k = 0; k < 90; ++k) {
@@ -730,7 +730,7 @@ TEST(Uploaded, ACarThatCameByAMessageIsSpawnedAndEveryReplicaHasIt) {
   const auto painted = box_car({2, 2, 2});
   Scene scene, replica;
   const Inbox inboxes[] = {
-      {{"car/a", host::spawn(painted->hash, "game"), 1}},  // not here yet
+      {{"car/a", host::spawn(painted->hash, "game"), 1}},  // not uploaded yet
       {{"asset", host::asset(*painted), 2}, {"car/a", host::spawn(painted->hash, "game"), 3}},
       {},
   };
@@ -828,7 +828,7 @@ TEST(State, TheSumOfACarThatRestsAgainstAWallIsItsBodysWhateverTheWallDoes) {
   scene.step({{"host/game/obstacles", host::obstacles(1, {wall})},
               {"host/game/poses", host::poses(1, {{"a", pose_at(0), {12, 0, 0}}})}});
   const auto rests = [&] { return scene.car("a").body.settled && scene.car("a").body.touching; };
-  // Scripted, or it would spring back from the wall.
+  // Scripted, because otherwise it would spring back from the wall.
   for (int k = 0; k < 200 && !rests(); ++k)
     scene.step({{"host/game/poses", host::poses(2 + k, {{"a", pose_at(0.3), {0, 0, 0}}})}});
   ASSERT_TRUE(rests());
@@ -864,7 +864,7 @@ TEST(State, ADamagedWorldIsRefusedAndLeavesNothing) {
   EXPECT_THROW(load_world(bytes, *without.world), std::runtime_error) << "an asset that is not there";
 }
 
-// Whoever makes such bytes up can give them their sum: a recording from elsewhere must not end who replays it.
+// An attacker can also forge the checksum. A foreign recording must not end the program that replays it.
 TEST(State, AWorldThatNoTickCanBeMadeOfIsRefused) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   using Change = std::function<void(World&, Instance&)>;
@@ -1054,7 +1054,8 @@ std::vector<Sample> samples() {
   };
 }
 
-// A car that is being hit, so that whatever gets through meets all rooms; one sub-step a tick, because there are thousands.
+// A car in a crash, so that accepted messages reach all stages; with one sub-step in a tick, because there are thousands of
+// ticks.
 Scene hit_scene() {
   Scene scene(cell(), {}, 960);
   scene.step({{"car/a", host::spawn(cell()->hash, "game")},
@@ -1069,7 +1070,8 @@ void expect_survives(const Sample& sample, const Bytes& bytes, uint64_t spared) 
   scene.step({{sample.key, bytes, 5}});
   ASSERT_EQ(std::count_if(scene.outbox.begin(), scene.outbox.end(), [](const Message& message) { return message.ticket == 5; }),
             1);
-  const bool some_taken = scene.refused(Reason::unknown_car) + scene.refused(Reason::not_owner) > 0;  // of the cars of a Poses
+  const bool some_taken =
+      scene.refused(Reason::unknown_car) + scene.refused(Reason::not_owner) > 0;  // because of some cars of the Poses
   if (refusal_count(*scene.world) > 0 && !some_taken) {
     ASSERT_EQ(hash(*scene.world), spared) << last_refusal(*scene.world);
   }
@@ -1078,7 +1080,7 @@ void expect_survives(const Sample& sample, const Bytes& bytes, uint64_t spared) 
   ASSERT_TRUE(finite(*scene.world));
 }
 
-// The world's hash if the message had not come.
+// The hash of the world without the message.
 uint64_t spared_hash() {
   Scene scene = hit_scene();
   scene.step();

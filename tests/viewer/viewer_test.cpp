@@ -1,5 +1,5 @@
-// What a viewer asks for and when, with questions and time in the hands of the test: the machine that the client library and
-// the gateway share.
+// Tests the queries of a viewer and their times: the state machine that the client library and the gateway share. The test
+// answers the queries and sets the time.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -44,7 +44,7 @@ struct Question {
   std::vector<uint8_t> payload;
 };
 
-// A network that carries nothing by itself: it keeps the questions.
+// A network that sends nothing but keeps the queries.
 struct Asked {
   std::vector<Question> questions;
   viewer::Ask ask = [this](const std::string& key, std::span<const uint8_t> payload, std::chrono::milliseconds) {
@@ -62,7 +62,7 @@ struct Follower : Asked {
     if (follows_all) all.follow_all(0, now);
   }
   const FollowedCar& car() { return all.cars.at("a"); }
-  // The tick that is held; 0: none.
+  // The tick of the held surface; 0: none.
   uint64_t held() { return car().surface.quanta.empty() ? 0 : car().surface.tick; }
   void token(bool alive) { all.take_token(*parse_key("car/a"), alive, now); }
   Applied keyframe(uint64_t tick, int16_t value) {
@@ -73,7 +73,7 @@ struct Follower : Asked {
     const Bytes bytes = delta_of(tick, value, key_tick, key_value);
     return all.take_sample(*parse_key("car/a/delta/0"), raw(bytes), now).outcome.applied;
   }
-  // To the question of this ticket; value: of the keyframe's numbers.
+  // Answers the query with this ticket. value: of all numbers in the keyframe.
   void answer(uint64_t ticket, uint64_t tick, int16_t value, bool failed = false) {
     all.take_reply(ticket, raw(keyframe_of(tick, value)), failed, now);
     all.end(ticket);
@@ -88,7 +88,7 @@ struct Follower : Asked {
     const Bytes bytes = encode_health(report);
     all.take_health(*verified<schema::Health>(bytes), now);
   }
-  // Lives, holds tick 5 and has no question left.
+  // A living car: the viewer holds tick 5 and has no open query.
   void settle() {
     token(true);
     answer(last().ticket, 5, 1);
@@ -149,7 +149,7 @@ TEST(Viewer, AsksLessAndLessOftenForAKeyframeThatDoesNotCome) {
   EXPECT_EQ(one.questions.size(), before + 1) << "the next car of this id is asked for at once";
 }
 
-// Whoever may publish may say that cars are there. Without the limit each viewer asked for all of them twice a second.
+// Anyone who may publish can claim that cars exist. Without the limit each viewer asked for all of them twice a second.
 TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndARealOneComesFirst) {
   Follower one;
   constexpr size_t invented = 1000;
@@ -291,7 +291,7 @@ struct Fetcher : Asked {
   std::optional<viewer::AssetNews> answer(std::vector<uint8_t> bytes, bool failed = false) {
     return all.take_reply(last().ticket, bytes, failed, now);
   }
-  // Answers the last question with its piece, in which `turned` more than nothing turns a bit.
+  // Answers the last query with its piece. If `turned` is not 0, a bit of the piece is flipped.
   std::optional<viewer::AssetNews> answer(uint8_t turned = 0) {
     const size_t begin = offset(), end = std::min(car.size(), begin + asset_piece);
     std::vector<uint8_t> piece(car.begin() + ptrdiff_t(begin), car.begin() + ptrdiff_t(end));

@@ -19,18 +19,18 @@ struct Fiber {
   ucontext_t context;
   void* stack = nullptr;
   std::function<void()> body;
-  uint64_t turn = 0;  // counts its waits: who would wake it from an earlier one does not
+  uint64_t turn = 0;  // counts its waits, so that a wake-up for an earlier wait has no effect
   bool waiting = false, ended = false;
   Time frozen_until = 0;
 };
 
 namespace {
 
-constexpr size_t stack_size = size_t{1} << 20;  // bytes: of a tick, which recurses nowhere, many times over
+constexpr size_t stack_size = size_t{1} << 20;  // bytes: many times as much as a tick needs, because it never recurses
 
 struct Due {
   Time time;
-  uint64_t number;  // what is due at one time happens in the order in which it was asked for
+  uint64_t number;  // actions due at the same time run in the order of their requests
   std::function<void()> action;
   bool operator<(const Due& other) const { return std::pair(time, number) > std::pair(other.time, other.number); }
 };
@@ -40,7 +40,7 @@ uint64_t numbers = 0;
 std::priority_queue<Due> due;
 Fiber* current = nullptr;
 ucontext_t schedule;
-std::vector<void*> stacks;  // that nobody uses now
+std::vector<void*> stacks;  // free stacks
 std::mt19937_64 machine;
 
 void* take_stack() {
@@ -130,7 +130,7 @@ void freeze(Fiber* fiber, Time until) { fiber->frozen_until = std::max(fiber->fr
 
 }  // namespace crumple::weather
 
-// In place of those of the C and C++ libraries: the program's own definitions come first where it is linked.
+// These replace the functions of the C and C++ libraries, because the linker prefers the program's own definitions.
 
 using crumple::weather::now;
 

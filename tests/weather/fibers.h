@@ -1,5 +1,5 @@
-// Simulated time, and actors that take turns on one thread: each runs until it waits, and what comes next follows from the
-// times alone. The program's clocks, its sleep and its random numbers of the machine are replaced by these.
+// Simulated time, and actors that take turns on one thread. Each actor runs until it waits; the due times alone determine which
+// runs next. These functions replace the program's clocks, its sleep, and its random numbers from the machine.
 #pragma once
 
 #include <cstdint>
@@ -13,20 +13,20 @@ inline constexpr Time millisecond = 1'000'000, second = 1000 * millisecond;
 struct Fiber;
 
 Time now();
-// Begins anew at 0; what the machine's random numbers are from now on. No fiber may live.
+// Starts again at time 0, with this seed for the machine's random numbers. No fiber may be alive.
 void begin(uint64_t seed);
 void at(Time, std::function<void()>);
-// Does what is due until then.
+// Runs all actions that are due until this time.
 void run_until(Time);
 
 Fiber* start(std::function<void()>);
-Fiber* running();  // null: the schedule itself
+Fiber* running();  // null: the schedule itself is running
 bool has_ended(const Fiber*);
-void release(Fiber*);  // once it has ended
-// Of the one that runs: until it is woken, or then.
+void release(Fiber*);  // only after it has ended
+// Blocks the running fiber until another wakes it, or until this time.
 void wait_until(Time);
 void wake(Fiber*);
-// It does not run before then.
+// The fiber does not run before this time.
 void freeze(Fiber*, Time until);
 
 }  // namespace crumple::weather

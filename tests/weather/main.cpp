@@ -1,6 +1,6 @@
 // crumple_weather [--seed N] [--schedules N | --seconds N]
-// Reproducible bad weather for the program's logic: many schedules, each from one number. A broken law is said with its number,
-// which brings the very same schedule again, with all that happened in it.
+// Reproducible bad weather for the program's logic: many schedules, each from one number. If a schedule breaks a law, the
+// program prints its number. With this number it plays the same schedule again and prints all its events.
 #include <fcntl.h>
 #include <unistd.h>
 
@@ -20,9 +20,9 @@
 namespace crumple::weather {
 namespace {
 
-constexpr unsigned patience = 60;        // s of the clock on the wall for one schedule; they take a tenth
-constexpr size_t last_lines = 60;        // of a failing schedule
-constexpr uint64_t twice_each = 20;      // schedules: one of these is run again, and must be the same
+constexpr unsigned patience = 60;        // s of wall time for one schedule, which normally takes a tenth
+constexpr size_t last_lines = 60;        // lines to print of a failing schedule
+constexpr uint64_t twice_each = 20;      // one in so many schedules runs twice, and must give the same events
 constexpr long memory_limit = 64 << 10;  // KiB that the process may grow by after the first schedules
 
 FILE* out = nullptr;
@@ -140,7 +140,7 @@ int main(int count, char** arguments) {
     }
   }
   for (const int signal : {SIGALRM, SIGABRT, SIGSEGV, SIGBUS, SIGFPE}) std::signal(signal, died);
-  // What servers say belongs to what happened.
+  // The output of servers is part of the events.
   const cookie_io_functions_t words{nullptr, take_words, nullptr, nullptr};
   stdout = fopencookie(nullptr, "w", words);
   stderr = fopencookie(nullptr, "w", words);

@@ -15,7 +15,7 @@ struct Source {
   uint32_t depth = 0;
   size_t longest = 0;
   size_t waiting = 0;
-  std::map<std::string, uint64_t> latest;  // numbers of what waits, where depth is 0
+  std::map<std::string, uint64_t> latest;  // if depth is 0: the number of the waiting sample by key
 };
 using SourceHandle = std::shared_ptr<Source>;
 
@@ -28,7 +28,7 @@ struct Arrived {
   SourceHandle source;
 };
 
-struct Asking {  // a question under way, at the router
+struct Asking {  // an open query at the router
   Net* asker;
   uint64_t epoch, ticket;
   std::multiset<Net*> awaited;
@@ -41,11 +41,11 @@ struct OpenQuery {
   Time since;
 };
 
-// What the router knows of a session.
+// The router's data about a session.
 struct Face {
   std::vector<SourceHandle> subscribed, queryables, watched;
   std::multiset<std::string> tokens;
-  std::map<std::string, bool> keys;  // and whether it was told that somebody subscribes
+  std::map<std::string, bool> keys;  // and whether the session was told of a subscriber
   std::set<std::string> told;        // tokens of others
 };
 
@@ -64,7 +64,7 @@ struct Net {
   double jitter = 0;
 
   bool linked = false, closed = false, dead = false, black = false;
-  uint64_t epoch = 0;  // of the link: what was sent by an earlier one does not come
+  uint64_t epoch = 0;  // of the link: messages from an earlier link do not arrive
   Time stalled_until = 0, storm_until = 0, trouble = -1000 * second;
   double loss = 0;
   uint64_t calls_left = UINT64_MAX;
@@ -74,7 +74,7 @@ struct Net {
 
   std::vector<SourceHandle> subscribed, queryables, watched;
   std::multiset<std::string> tokens;
-  std::map<std::string, bool> keys;  // and whether somebody subscribes, as far as is known here
+  std::map<std::string, bool> keys;  // and whether the session knows of a subscriber
   std::set<std::string> alive;       // tokens of others
   std::map<uint64_t, OpenQuery> open_queries;
   std::map<uint64_t, std::pair<std::string, uint64_t>> asked;  // by ticket: key, epoch of the link
@@ -84,7 +84,7 @@ struct Net {
   std::vector<Arrived> polled;
   SourceHandle replies = std::make_shared<Source>(Source{"", replies_most, SIZE_MAX, 0, {}});
   NetStats stats{};
-  std::optional<Face> face;  // the router's
+  std::optional<Face> face;  // the router's data about this session
 };
 
 namespace crumple::weather {
@@ -106,7 +106,7 @@ int fail(int status, std::string sentence) {
 
 // ---- key expressions ----
 
-bool chunks_meet(std::string_view a, std::string_view b) {  // of one chunk each; $* stands for any characters
+bool chunks_meet(std::string_view a, std::string_view b) {  // each is one chunk; $* matches any characters
   if (a.empty() && b.empty()) return true;
   if (a.starts_with("$*"))
     return chunks_meet(a.substr(2), b) || (!b.empty() && chunks_meet(a, b.substr(b.starts_with("$*") ? 2 : 1)));
@@ -160,7 +160,7 @@ void down(Net& session, unsigned lane, std::function<void()> action) {
 }
 
 bool is_lost(Net& session, const std::string& key) {
-  // Obstacles are told once: a line that loses them for good is none that there is.
+  // Obstacles are sent only once, and no real link loses them for ever.
   return now() < session.storm_until && !key.ends_with("/obstacles") && session.draw.chance(session.loss);
 }
 
@@ -322,7 +322,7 @@ void route_sample(Net& from, const std::string& key, const Bytes& bytes, unsigne
   }
 }
 
-// The router has lost the session.
+// The router loses the session.
 void router_drop(Net& session) {
   if (!session.face) return;
   const Face face = std::move(*session.face);
@@ -331,7 +331,7 @@ void router_drop(Net& session) {
   tell_matching();
 }
 
-std::multimap<Net*, std::weak_ptr<Asking>> awaiting;  // by who is to answer
+std::multimap<Net*, std::weak_ptr<Asking>> awaiting;  // by the session that must answer
 
 void end_what_it_owes(Net& session) {
   const auto [first, last] = awaiting.equal_range(&session);
@@ -415,7 +415,7 @@ void link_up(Net& session) {
   for (const auto& [key, matching] : session.keys) declare_key(session, key);
 }
 
-// there, here: when the router and the session learn it.
+// there, here: the times at which the router and the session learn it.
 void lose_link(Net& session, Time there, Time here, Time back) {
   if (session.dead || session.closed) return;
   const uint64_t epoch = ++session.epoch;
@@ -437,7 +437,7 @@ void lose_link(Net& session, Time there, Time here, Time back) {
 
 // ---- calls ----
 
-// Each may be the last of a process that is killed.
+// Each call may be the last one of a killed process.
 int call(Net* session, uint64_t what) {
   digest(what * 0x9e3779b97f4a7c15 + session->id);
   if (session->dead || session->closed) return fail(TRANSPORT_CLOSED, "the session is closed");
@@ -587,11 +587,11 @@ int net_open(const char* mode, const char*, const char* connect, const char*, ui
   made->latency = Time(double(climate.latency) * (0.5 + made->draw.share()));
   made->jitter = climate.jitter;
   made->fiber = running();
-  made->name = connect;  // the actor's, in place of an endpoint
+  made->name = connect;  // the actor's name, passed as the endpoint
   Net* session = sessions.emplace_back(std::move(made)).get();
   note_opened(session);
   if (running()) wait_until(now() + 4 * session->latency);
-  const Time trouble = session->trouble;  // to be linked for the first time is none
+  const Time trouble = session->trouble;  // the first link is no trouble
   link_up(*session);
   session->trouble = trouble;
   *out = session;
@@ -650,7 +650,7 @@ int net_subscribe(Net* session, const char* expression, uint32_t depth, size_t l
   return TRANSPORT_OK;
 }
 
-// No bound of what waits is met here.
+// The simulation never reaches the bounds of waiting data.
 int net_prefer(Net*, const char*) { return TRANSPORT_OK; }
 
 int net_unsubscribe(Net* session, const char* expression) {

@@ -1,5 +1,6 @@
-// net.h over a simulated network: every session is a client of one router. What zenoh promises holds (a link keeps the
-// order of each of its queues; whoever is linked anew declares all again; tokens go with the link), and nothing more.
+// Implements net.h with a simulated network: every session is a client of one router. It keeps Zenoh's promises and no others:
+// a link keeps the order in each of its queues, a session that reconnects declares everything again, and tokens disappear with
+// the link.
 #pragma once
 
 #include <deque>
@@ -43,23 +44,23 @@ struct Payload {
 using Bytes = std::shared_ptr<const Payload>;
 Bytes payload(const void* data, size_t size);
 
-// Of a schedule.
+// The network of a schedule.
 struct Climate {
   Time latency = millisecond;  // one way, from a session to the router or back
-  double jitter = 0;           // share of it
-  double repeat = 0;           // share of the samples that come twice
-  bool by_key = false;         // samples keep their order within a key only, else within a priority
-  bool ends_at_cut = true;     // questions under way end when the line is cut, else by their timeout
+  double jitter = 0;           // as a share of the latency
+  double repeat = 0;           // share of the samples that arrive twice
+  bool by_key = false;         // true: samples keep their order only within a key; false: within a priority
+  bool ends_at_cut = true;     // true: open queries end when the link is cut; false: by their timeout
 };
 
-// Anew, with no session; the sessions of before are gone.
+// Starts again without sessions. All earlier sessions are gone.
 void begin_network(const Climate&, uint64_t seed);
 
 bool tracing();
 void set_tracing(bool on);
 void trace(const std::string&);
 std::vector<std::string>& traced();
-// Of all that happened: the same for the same seed.
+// A hash of all events. The same seed must give the same hash.
 uint64_t digest();
 void digest(uint64_t);
 
@@ -67,36 +68,35 @@ void digest(uint64_t);
 
 std::string& name_of(Net*);
 void set_latency(Net*, Time latency, double jitter);
-// Its process ends in this moment, or after so many more calls of net.h. The router learns it at once, or after the
-// lease.
+// Ends its process now, or after this many more calls of net.h. The router learns it at once, or after the lease.
 void kill(Net*, bool at_once);
 void kill_after(Net*, uint64_t calls, bool at_once);
 bool is_dead(const Net*);
-// Nothing comes through for so long; beyond the lease the link is lost, and comes back a little after.
+// Blocks its link for this long. After the lease the link is lost, and returns a little later.
 void stall(Net*, Time);
-// The socket is closed; linked anew after so long.
+// Closes its socket. It reconnects after this time.
 void cut(Net*, Time);
-// Its process does not run for so long; beyond the lease the link is lost meanwhile.
+// Stops its process for this long. After the lease its link is lost.
 void freeze(Net*, Time);
-// Of the samples that come and go until then such a share is lost.
+// Loses this share of the samples to and from it until this time.
 void storm(Net*, Time, double loss);
 bool is_linked(const Net*);
-// When anything of this befell it last, or ends.
+// The time at which the last of these faults happened or ends.
 Time trouble_until(const Net*);
 
 // ---- what it has ----
 
 const std::multiset<std::string>& tokens_of(const Net*);
 size_t keys_of(const Net*);
-Time oldest_query_of(const Net*);  // that came and is not answered; now: there is none
+Time oldest_query_of(const Net*);  // time of the oldest query without an answer; now(): there is none
 size_t waiting_of(const Net*);
 bool is_open(const Net*);
 
-// The schedule is told of these, by the network.
+// The network calls these to inform the schedule.
 void note_opened(Net*);
 void note_announced(Net*, const std::string& key);
 
-// Messages of others, for whoever plays them again.
+// Messages of other sessions, for a stranger who replays them.
 using Seen = std::pair<std::string, Bytes>;
 const std::deque<Seen>& seen();
 

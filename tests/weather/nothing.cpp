@@ -1,5 +1,5 @@
-// The rest of server/io, which no schedule may need. One that is missing here makes the linker take the real library, and say
-// that what network.cpp has is defined twice.
+// The other functions of server/io, which no schedule may call. If a function is missing here, the linker takes the real
+// library, and reports that the functions of network.cpp are defined twice.
 #include <cstdio>
 #include <cstdlib>
 

@@ -25,16 +25,16 @@ struct Actor {
   std::string name;
   Fiber* fiber = nullptr;
   std::atomic<bool> stop = false;
-  bool doomed = false, ended = false;  // doomed: to be killed, perhaps a little later
-  std::string died_of;                 // the exception
+  bool doomed = false, ended = false;  // doomed: it will be killed, perhaps a little later
+  std::string died_of;                 // the exception that ended it
   int code = 0;
   // Of a server.
   bool server = false, standby = false;
-  bool held = false;    // the owner's world, when it took over
-  bool begins = false;  // with the first epoch
+  bool held = false;    // it held the owner's world when it took over
+  bool begins = false;  // it is the owner of the first epoch
   Time owns_since = 0;
   World* world = nullptr;               // since its first tick
-  std::map<uint64_t, uint64_t> hashes;  // of the last ticks, in calm
+  std::map<uint64_t, uint64_t> hashes;  // of the last ticks, during calm
   // Of a host or viewer.
   Crumple* session = nullptr;
   int level = 0;
@@ -45,9 +45,9 @@ struct Actor {
     float speed = 0;
   };
   std::map<std::string, Wanted> cars;  // of a host
-  uint32_t obstacles = 0;              // that it told last
+  uint32_t obstacles = 0;              // number that it sent last
   std::deque<std::pair<Time, uint64_t>> sequences;
-  Net* net = nullptr;  // the last it opened
+  Net* net = nullptr;  // the last session that it opened
 
   explicit Actor(std::string n) : name(std::move(n)) {}
 };
@@ -64,9 +64,9 @@ struct Schedule {
   bool calm = false;
   Time end = 0;
   Net* stranger = nullptr;
-  bool rogue = false;  // the stranger has said that it owns the scene
+  bool rogue = false;  // the stranger has declared itself the owner
   size_t named = 0;
-  // The last that owned the scene, and how far it was.
+  // The last owner of the scene, and its last tick.
   Actor* owner = nullptr;
   uint64_t owner_tick = 0;
   Time owner_trouble = 0;
@@ -75,7 +75,7 @@ struct Schedule {
 
 Schedule* schedule = nullptr;
 
-constexpr Time longest_calm = 200 * second;  // the longest pause of a standby is 60 s, and the look before it as long again
+constexpr Time longest_calm = 200 * second;  // a standby pauses for at most 60 s, after an attempt that may take as long
 const std::string root = "crumple/1/main/";
 
 void broken(const std::string& law) {
@@ -85,7 +85,7 @@ void broken(const std::string& law) {
 
 bool is_killed(const Actor& actor) { return actor.net && is_dead(actor.net); }
 
-// What the library keeps behind the handle.
+// The library's session of a handle.
 const Crumple& inside(const Actor& actor) { return *client::find(actor.session); }
 
 Actor* running_actor() {
@@ -98,7 +98,7 @@ bool is_owner(const Actor& actor) {
   return actor.server && !actor.ended && actor.net && is_open(actor.net) && tokens_of(actor.net).contains(root + "server");
 }
 
-// Whose token says that it owns the scene.
+// Whether its token says that it owns the scene.
 bool owns(const Actor& actor) {
   if (!actor.server || actor.ended || !actor.net || !is_open(actor.net)) return false;
   const auto& tokens = tokens_of(actor.net);
@@ -206,7 +206,7 @@ void tell_obstacles(Actor& self, Draw& draw, double y) {
   crumple_publish_obstacles(self.session, walls, self.obstacles);
 }
 
-// Cars that its scene should have and has not are spawned, and the other way about.
+// Spawns cars that the scene lacks, and despawns cars that it should not have.
 void keep_cars(Actor& self, double y) {
   for (auto& [id, car] : self.cars) {
     const auto held = inside(self).following.cars.find(id);
@@ -380,7 +380,7 @@ std::vector<std::string> strange_keys() {
   return keys;
 }
 
-// Of the next tick, as the owner would send it, without what belongs there.
+// The inputs of the next tick as the owner would send them, but empty.
 void put_false_inputs(Net* net) {
   for (auto at = seen().rbegin(); at != seen().rend(); ++at) {
     if (!at->first.ends_with("replica/inputs")) continue;
@@ -405,7 +405,7 @@ void act_strangely() {
   std::vector<uint8_t> bytes(draw.below(3) == 0 ? draw.below(2000) : draw.below(20));
   for (uint8_t& each : bytes) each = uint8_t(draw.word());
   uint64_t ticket;
-  if (draw.chance(0.01)) {  // as the last that may be
+  if (draw.chance(0.01)) {  // with the highest tick number
     schedule->rogue = true;
     const std::string token = root + owner_key(epoch_limit, "0");
     net_announce(net, token.c_str());
@@ -426,13 +426,13 @@ void act_strangely() {
     case 3:
       put_false_inputs(net);
       break;
-    default: {  // again, or damaged
+    default: {  // repeats or damages a message
       if (seen().empty()) break;
       const auto& [name, payload] = seen()[draw.below(seen().size())];
       std::vector<uint8_t> copy(payload->data(), payload->data() + payload->size);
       const bool surface = name.find("/car/") != std::string::npos || name.ends_with("/health") || name.ends_with("/reactions");
-      // Whoever may publish surfaces may publish wrong ones, and who may speak as a host may silence it, for which there are
-      // the router's rules: of the one no more than half, of the obstacles of the other nothing.
+      // A sender with the right to publish surfaces can publish wrong ones, and a sender with the rights of a host can silence
+      // the host; the router's rules prevent both. So the stranger sends at most half of a surface, and no obstacles of a host.
       if (name.ends_with("/obstacles")) break;
       if (surface) copy.resize(draw.below(copy.size() / 2 + 1));
       if (!surface && !copy.empty() && draw.chance(0.5)) {
@@ -522,7 +522,7 @@ void strike() {
 
 // ---- laws ----
 
-// Those that calm brings about. The first that does not hold, or nothing.
+// The laws that must hold in calm. Each function returns the first broken law, or an empty string.
 std::string surfaces_differ(const Actor& viewer, const World& world) {
   const Crumple& session = inside(viewer);
   for (const auto& [id, car] : world.cars) {
@@ -617,7 +617,7 @@ void ticked(World& world) {
   const bool serves = is_owner(*actor);
   if (serves && schedule->owner != actor) {
     const Actor* before = schedule->owner;
-    // Who was killed, while neither its line nor that of who stood by was in trouble, has left nothing unsaid.
+    // If an owner was killed while its link and the standby's link were good, no tick may be lost.
     if (before && is_killed(*before) && schedule->owner_trouble < now() - 10 * second && actor->held && untroubled(*actor) &&
         world.tick + uint64_t(schedule->rate) < schedule->owner_tick)
       broken("the scene went back from tick " + std::to_string(schedule->owner_tick) + " to " + std::to_string(world.tick));
@@ -682,7 +682,7 @@ void come_to_calm() {
     return each.server && !is_killed(each) && !each.ended && !each.stop;
   });
   if (!served) start_server(true);
-  // What was in the middle of something has passed: then the laws hold, and go on holding.
+  // Waits until pending events are over. Then the laws must hold, and must keep holding.
   run_until(now() + 10 * second);
   const Time until = now() + longest_calm;
   if (!step_calm(until)) return broken(unsettled());
@@ -712,7 +712,7 @@ void note_announced(Net* net, const std::string& key) {
   Actor* actor = running_actor();
   if (!actor || !key.starts_with(root + "owner/")) return;
   if (!is_linked(net)) broken(actor->name + " announces itself as the owner while its own line is cut");
-  // Those who begin may not know of one another yet; those who stand by do, and take turns.
+  // Owners that start may not know of each other yet. Standbys know each other and take turns.
   const uint64_t epoch = std::stoull(key.substr(root.size() + 6));
   actor->begins = epoch == 1;
   if (epoch == 0 || epoch > epoch_limit) broken(actor->name + " takes over with epoch " + std::to_string(epoch));
@@ -738,7 +738,7 @@ Ended run_schedule(uint64_t seed, const std::string& car_file, const std::string
   return {made.broken, sum, seconds};
 }
 
-// The tick, and what it came to (--wrap of the linker).
+// Wraps the real tick (--wrap of the linker) and records its result.
 TickResult real_tick(World&, const Inbox&, Outbox&, int) __asm__("__real_" CRUMPLE_TICK);
 TickResult wrapped_tick(World&, const Inbox&, Outbox&, int) __asm__("__wrap_" CRUMPLE_TICK);
 TickResult wrapped_tick(World& world, const Inbox& inbox, Outbox& outbox, int threads) {

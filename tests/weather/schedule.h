@@ -1,5 +1,5 @@
-// One schedule: what the seed draws. Servers, hosts and viewers as they are, strangers, and what befalls them; then calm, in
-// which all laws must come to hold.
+// One schedule, drawn from a seed: real servers, hosts and viewers, strangers, and faults; then calm, in which all laws must
+// hold in the end.
 #pragma once
 
 #include <cstdint>
@@ -8,12 +8,12 @@
 namespace crumple::weather {
 
 struct Ended {
-  std::string broken;  // the law, and how; empty: none
+  std::string broken;  // the broken law with details; empty: none
   uint64_t digest = 0;
   double seconds = 0;  // simulated
 };
 
-// car_file: the baked car that all drive; asset: its hash.
+// car_file: the baked car of all hosts; asset: its hash.
 Ended run_schedule(uint64_t seed, const std::string& car_file, const std::string& asset);
 
 }  // namespace crumple::weather

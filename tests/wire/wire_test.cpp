@@ -1,4 +1,4 @@
-// wire: what is refused and how it is said; what a viewer holds after keyframes and deltas.
+// Tests wire: which messages are refused and with which sentence, and the surface of a viewer after keyframes and deltas.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -106,7 +106,7 @@ TEST(Decode, RefusesWhatIsNoTable) {
   expect_refused<Order>(Bytes(3), Reason::malformed, "Command");
 }
 
-// One table named by every entry of the list: 1 kB that would be read as a million cars.
+// Every entry of the list refers to the same table: 1 kB would be read as a million cars.
 TEST(Decode, RefusesAForgedListBeforeItReadsIt) {
   host::Builder builder;
   const schema::Pose pose = pose_at(0);
@@ -181,7 +181,7 @@ TEST(Decode, RefusesTooManyObstaclesAndHullsThatCostTooMuch) {
   for (uint32_t i = 0; i < hulls.size(); ++i) hulls[i].id = i;
   expect_refused<ObstacleList>(host::obstacles(1, hulls), Reason::too_many_obstacles,
                                "points of all hulls has 4128 entries; 4096");
-  // Every three points of a hull are tried: 32 points have 4960 threes, 8 points 56.
+  // All triples of a hull's points are tried: 32 points have 4960 triples, 8 points have 56.
   for (size_t k = 0; k < 32; ++k) hull.points[k] = {k < 16 ? 0.0f : 1.0f, float(k % 4), float(k / 4 % 4)};
   hulls.assign(13, hull);
   for (uint32_t i = 0; i < hulls.size(); ++i) hulls[i].id = i;
@@ -294,7 +294,7 @@ TEST(Surface, RoundsHalfAwayFromZeroAndClamps) {
 TEST(Surface, RoundsAsTheLibraryDoes) {
   std::mt19937 random(7);
   std::vector<Vec3> displacement;
-  for (int k = -400; k <= 400; ++k) {  // halves, and their neighbours on either side
+  for (int k = -400; k <= 400; ++k) {  // halves, and the numbers next to them
     const float half = 0.5f * float(k);
     displacement.push_back({half, std::nextafter(half, -1e9f), std::nextafter(half, 1e9f)});
   }
@@ -319,7 +319,7 @@ std::vector<int16_t> noise(size_t nodes, uint32_t seed) {
   return out;
 }
 
-// 1: less than a block; 10,001: two parts; 200,000: the largest car.
+// 1: less than one block; 10,001: two parts; 200,000: the largest car.
 TEST(Surface, AViewerHoldsWhatWasSentForAnyNumberOfNodes) {
   for (size_t nodes : {1u, 15u, 16u, 17u, 10'000u, 10'001u, 200'000u}) {
     const SurfaceHead head{7, asset, 0.0005f}, later{9, asset, 0.0005f};
@@ -377,7 +377,7 @@ TEST(Surface, KeyframesComeWhenDueWhenAtRestAndEverySixtyTicks) {
   ViewerState told;
   std::vector<int16_t> surface(30);
   const auto kind = [&](uint64_t tick, bool settled) { return update_viewers({tick, asset, 1}, settled, surface, told).kind; };
-  EXPECT_EQ(kind(1, true), SurfaceUpdate::Kind::keyframe);  // spawned
+  EXPECT_EQ(kind(1, true), SurfaceUpdate::Kind::keyframe);  // because it was spawned
   EXPECT_EQ(kind(2, true), SurfaceUpdate::Kind::none);
   surface[0] = 1;
   EXPECT_EQ(kind(3, false), SurfaceUpdate::Kind::delta);
@@ -389,7 +389,7 @@ TEST(Surface, KeyframesComeWhenDueWhenAtRestAndEverySixtyTicks) {
     ASSERT_EQ(kind(tick, false), SurfaceUpdate::Kind::delta) << tick;
   }
   EXPECT_EQ(kind(65, false), SurfaceUpdate::Kind::keyframe);
-  told.due = true;  // repaired, say
+  told.due = true;  // for example because it was repaired
   EXPECT_EQ(kind(66, true), SurfaceUpdate::Kind::keyframe);
 }
 

@@ -1,4 +1,4 @@
-// A host: spawns a car, drives it into a wall, moves on with what the crash leaves it, and takes it away again.
+// A host: spawns a car, drives it into a wall, continues with the motion after the crash, and despawns the car.
 //   host ENDPOINT CARFILE      for example: host tcp/127.0.0.1:7447 car.car
 #include <algorithm>
 #include <chrono>
@@ -45,7 +45,7 @@ void drive(const char* endpoint, const char* file) {
     std::this_thread::sleep_until(next);
     session.poll();
     car.pose.position[0] += step * double{car.velocity[0]};
-    // What the crash did to the motion: taken over as it is.
+    // Takes over the motion after the crash from the reaction.
     while (const auto reaction = session.next_reaction()) {
       car.pose = reaction->pose;
       std::copy_n(reaction->velocity, 3, car.velocity);

@@ -1,4 +1,4 @@
-// The conformance table through the C# binding; run.py says what it reads and prints.
+// Runs the conformance table with the C# binding. run.py specifies its input and output.
 using System;
 using System.IO;
 using System.Linq;

@@ -1,4 +1,4 @@
-// The conformance table through the C library; run.py says what it reads and prints.
+// Runs the conformance table with the C library. run.py specifies its input and output.
 #include <crumple_client.h>
 #include <inttypes.h>
 #include <math.h>

@@ -1,4 +1,4 @@
-// The conformance table through the package for browsers; run.py says what it reads and prints.
+// Runs the conformance table with the package for browsers. run.py specifies its input and output.
 //   node client.mjs WEB      WEB: the folder build/web
 import { readFileSync } from "node:fs";
 import { resolve } from "node:path";

@@ -1,4 +1,4 @@
-"""The conformance table through the Python package; run.py says what it reads and prints."""
+"""Runs the conformance table with the Python package. run.py specifies its input and output."""
 
 import json
 import pathlib

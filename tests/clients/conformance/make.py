@@ -87,7 +87,7 @@ def pack(quanta):
 
 
 class Held:
-    """A surface as a viewer must come to hold it."""
+    """A surface that a viewer must end with."""
 
     def __init__(self, tick, quanta, quantum):
         self.tick, self.quanta, self.quantum = tick, quanta, quantum
@@ -149,7 +149,7 @@ told = {name: told[f"{name.split('_')[0]}{tick}"]
 
 
 def held_after(name, key=None):
-    """The surface that a recorded message tells, whose hash the server stated."""
+    """The surface of a recorded message, with the hash from the server."""
     message = (DeltaT if key else KeyframeT).InitFromPackedBuf(told[name])
     numbers = unpack(message.packed, message.count)
     if key:
@@ -193,7 +193,7 @@ quiet_parts = cut("delta7_quiet.delta", lambda first, count: delta(quiet, wild, 
 delta6_parts = cut("delta6_wild.delta", lambda first, count: delta(wilder, wild, first, count), 0, 7, 23, 40)
 
 words = [int(each) for each in DeltaT.InitFromPackedBuf(told["delta_a1"]).packed]
-number = next(k for k, word in enumerate(words) if word) + 1  # after the widths of the first block that has any
+number = next(k for k, word in enumerate(words) if word) + 1  # after the widths of the first block with numbers
 damaged = bytearray(told["delta_a1"])
 damaged[damaged.find(struct.pack(f"<{len(words)}H", *words)) + 2 * number] ^= 1
 made("delta_a1_damaged.delta", bytes(damaged))

@@ -1,15 +1,15 @@
-"""Whether a client prints what cases.json says.
+"""Checks that a client prints the output in cases.json.
 
     python tests/clients/conformance/run.py COMMAND...
 
-The command reads names of messages (files ending in .keyframe or .delta), one a line, takes each in as of one car, and prints
-one line of JSON after each: the outcome, and of the surface that it then holds, if it holds one, tick, hash, number of nodes,
-quantum in micrometres, the sum of its quanta (3 a node), and their moment: the first times 0, the second times 1, and so on.
-An empty line begins anew, with nothing held. Outcomes:
-  applied            the surface stands at a newer tick
-  part               taken in, more is to come
-  old                not newer than what is held, or than what is being gathered
-  missing keyframe   a delta against a keyframe that is not held
+The command reads file names of messages (ending in .keyframe or .delta), one per line, and treats all messages as of one car.
+After each message it prints one line of JSON. The line has the outcome. If the client holds a surface, the line also has the
+surface's tick, hash, number of nodes, quantum in micrometres, the sum of its quanta (3 per node), and their moment: the first
+quantum times 0, the second times 1, and so on. After an empty line the command starts again without a surface. Outcomes:
+  applied            the surface now has a newer tick
+  part               accepted, but parts are missing
+  old                not newer than the held surface, or than the parts being gathered
+  missing keyframe   a delta against a keyframe that the client does not hold
   refused            malformed; nothing has changed
 """
 

@@ -1,4 +1,4 @@
-# main.tscn until its car is gone, then the deepest dent of what Godot has of it; nothing where something does not hold.
+# Runs main.tscn until its car is gone, then prints the deepest dent of Godot's mesh. Prints nothing if a check fails.
 extends SceneTree
 
 var main: Node
@@ -19,12 +19,12 @@ func _initialize() -> void:
 	car.set_script(load("res://seen_car.gd"))
 	car.timeout = 30
 	root.add_child(main)
-	car.drawn.connect(func() -> void: car.gone.disconnect(quit))  # main.gd ends there
+	car.drawn.connect(func() -> void: car.gone.disconnect(quit))  # main.gd would quit here
 	car.gone.connect(see)
 
 
 func see() -> void:
-	await create_timer(0.5).timeout  # what is shown is a tenth of a second old
+	await create_timer(0.5).timeout  # the shown surface is a tenth of a second old
 	var arrays: Array = car.arrays()
 	var rest: PackedVector3Array = car._session.vertices(car._asset).to_vector3_array()
 	var now: PackedVector3Array = arrays[Mesh.ARRAY_VERTEX]
@@ -34,7 +34,7 @@ func see() -> void:
 	for i in now.size():
 		deepest = maxf(deepest, now[i].distance_to(rest[i]))
 
-	# A normal is that of the triangles around it, seen clockwise from its side.
+	# A normal must be the mean of the triangles around it, which are clockwise seen from its side.
 	var sum := PackedVector3Array()
 	sum.resize(now.size())
 	for i in range(0, corners.size(), 3):
@@ -48,7 +48,7 @@ func see() -> void:
 		if sum[i].length() > 1e-9:
 			apart = maxf(apart, sum[i].normalized().distance_to(normals[i]))
 	need(apart < 1e-3, "normals: %f apart" % apart)
-	var volume := 0.0  # of tetrahedra to the origin: positive where front sides look outwards
+	var volume := 0.0  # of tetrahedra to the origin: positive if front faces point outwards
 	for i in range(0, corners.size(), 3):
 		volume += rest[corners[i]].dot(rest[corners[i + 2]].cross(rest[corners[i + 1]])) / 6
 	need(volume > 1, "front sides look outwards: %f m^3" % volume)
@@ -61,7 +61,7 @@ func see() -> void:
 	car._process(0)
 	need(car.uploads == 0, "only what changed is uploaded")
 
-	# Another one on the same session, to which nothing changes any more, draws all the same.
+	# A second node on the same session must draw too, although the surface no longer changes.
 	var second: MeshInstance3D = car.duplicate()
 	main.add_child(second)
 	second._process(0)

@@ -1,4 +1,4 @@
-# What the graphics card would have of a car: Godot without a window keeps no vertices, so this does, and lets Godot decode them.
+# Stands for the graphics card: Godot without a window keeps no vertices, so this class keeps them and lets Godot decode them.
 extends CrumpleCar
 
 var vertex_data: PackedByteArray

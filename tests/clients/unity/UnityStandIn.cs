@@ -1,5 +1,5 @@
-// Of Unity what CrumpleCar.cs uses, with the signatures of its scripting reference: so that the sample is compiled and run where
-// Unity is not. A mesh keeps what it was given; nothing is drawn.
+// The part of Unity that CrumpleCar.cs uses, with the signatures of the scripting reference, so that the sample can be compiled
+// and run without Unity. A mesh keeps its data; nothing is drawn.
 using System;
 using System.Collections.Generic;
 using System.Runtime.InteropServices;
@@ -53,7 +53,7 @@ public sealed class RequireComponent : Attribute {
 public sealed class Mesh : Object {
   public int subMeshCount { get; set; }
   public Bounds bounds { get; set; }
-  public byte[] vertices;  // not Unity's: what the graphics card would have
+  public byte[] vertices;  // not in Unity: the data of the graphics card
   public uint[] corners;
   int vertexCount;
   public void MarkDynamic() {}
@@ -100,7 +100,7 @@ public struct SubMeshDescriptor {
 namespace Unity.Collections {
 public enum Allocator { Temp, Persistent }
 public struct NativeArray<T> : IDisposable where T : struct {
-  public IntPtr memory;  // not Unity's
+  public IntPtr memory;  // not in Unity
   public int Length { get; private set; }
   public NativeArray(int length, Allocator allocator) : this() {
     Length = length;

@@ -1,8 +1,8 @@
-// What tests/clients/clients_test.py asks of the C# binding:
-//   layout                 name, size and offsets of every struct, to be held against the header
-//   axes                   the conversion, held against what it must keep
-//   car ENDPOINT CAR       the sample, run by a stand-in of Unity, until the car is gone: its dent, and what frames allocate
-//   commands ENDPOINT FILE a host: all commands, a crash, refusals
+// The commands with which tests/clients/clients_test.py tests the C# binding:
+//   layout                 prints name, size and offsets of every struct, to compare with the header
+//   axes                   checks the laws of the conversion of axes
+//   car ENDPOINT CAR       runs the sample with a stand-in of Unity until the car is gone; prints its dent and the allocations
+//   commands ENDPOINT FILE runs a host: all commands, a crash, refusals
 using System;
 using System.Globalization;
 using System.IO;
@@ -27,7 +27,7 @@ static class UnityTest {
 
   static bool Same(Float3 a, Float3 b) { return Math.Abs(a.X - b.X) + Math.Abs(a.Y - b.Y) + Math.Abs(a.Z - b.Z) < 1e-5; }
 
-  // v + 2 u x (u x v + w v): the same formula in both worlds.
+  // v + 2 u x (u x v + w v): this formula holds in right-handed and in left-handed axes.
   static Float3 Turn(Rotation q, Float3 v) {
     float x = q.Y * v.Z - q.Z * v.Y + q.W * v.X, y = q.Z * v.X - q.X * v.Z + q.W * v.Y, z = q.X * v.Y - q.Y * v.X + q.W * v.Z;
     return new Float3(v.X + 2 * (q.Y * z - q.Z * y), v.Y + 2 * (q.Z * x - q.X * z), v.Z + 2 * (q.X * y - q.Y * x));
@@ -81,7 +81,7 @@ static class UnityTest {
         first = Drawn(car);
         Console.WriteLine("drawn");
       }
-      // What is shown is a tenth of a second old.
+      // The shown surface is a tenth of a second old.
       for (DateTime end = DateTime.Now.AddSeconds(0.5); DateTime.Now < end; ++UnityEngine.Time.frameCount) {
         update();
         other.Poll(0.01);
@@ -98,7 +98,7 @@ static class UnityTest {
     long before = GC.GetAllocatedBytesForCurrentThread();
     for (int i = 0; i < 200; ++i, ++UnityEngine.Time.frameCount) update();
     long after = GC.GetAllocatedBytesForCurrentThread();
-    // Another one on the same session, to which nothing changes any more, draws all the same.
+    // A second component on the same session must draw too, although the surface no longer changes.
     var second = new CrumpleCar { endpoint = endpoint, car = id };
     foreach (string name in new[] { "OnEnable", "Update" }) typeof(CrumpleCar).GetMethod(name, all).Invoke(second, null);
     Need(Drawn(second).SequenceEqual(last), "a second component draws the same");

@@ -1,1 +1,1 @@
-// Unreal makes one of these.
+// Unreal generates a file with this name.

@@ -1,5 +1,5 @@
-// Of Unreal what CrumpleCarComponent uses, with the signatures of its reference: so that the sample is compiled and run where
-// Unreal is not. A mesh keeps what it was given; nothing is drawn.
+// The part of Unreal that CrumpleCarComponent uses, with the signatures of its reference manual, so that the sample can be
+// compiled and run without Unreal. A mesh keeps its data; nothing is drawn.
 #pragma once
 
 #include <algorithm>
@@ -102,7 +102,7 @@ class UProceduralMeshComponent {
     ++updates;
   }
   FActorComponentTickFunction PrimaryComponentTick;
-  TArray<FVector> drawn, normals;  // not Unreal's: what the graphics card would have
+  TArray<FVector> drawn, normals;  // not in Unreal: the data of the graphics card
   TArray<int32> corners;
   int updates = 0;
 };

@@ -1,5 +1,5 @@
-// The Unreal sample, run by a stand-in of Unreal until its car is gone, then the deepest dent of what would be drawn; and what
-// must hold of its axes.
+// Runs the Unreal sample with a stand-in of Unreal until its car is gone, then prints the deepest dent of the mesh. Also checks
+// the laws of its axes.
 //   see ENDPOINT CAR
 #include <chrono>
 #include <cmath>
@@ -24,7 +24,7 @@ FVector cross(const FVector& a, const FVector& b) {
 double dot(const FVector& a, const FVector& b) { return a.X * b.X + a.Y * b.Y + a.Z * b.Z; }
 double apart(const FVector& a, const FVector& b) { return std::hypot(a.X - b.X, a.Y - b.Y, a.Z - b.Z); }
 
-// v + 2 u x (u x v + w v): the same formula in both worlds.
+// v + 2 u x (u x v + w v): this formula holds in right-handed and in left-handed axes.
 FVector turn(const FQuat& q, const FVector& v) {
   const FVector u{q.X, q.Y, q.Z}, t = cross(u, v);
   const FVector s = cross(u, {t.X + q.W * v.X, t.Y + q.W * v.Y, t.Z + q.W * v.Z});
@@ -72,7 +72,7 @@ int main(int count, char** arguments) {
   const TArray<FVector> rest = car->drawn;
   for (bool alive = true; alive; frame())
     if (const auto surface = other.surface(arguments[2])) alive = surface->alive;
-  // What is shown is a tenth of a second old.
+  // The shown surface is a tenth of a second old.
   for (const auto end = std::chrono::steady_clock::now() + 500ms; std::chrono::steady_clock::now() < end;) frame();
 
   double deepest = 0, volume = 0;
@@ -81,7 +81,7 @@ int main(int count, char** arguments) {
     deepest = std::max(deepest, apart(car->drawn[i], rest.all[i]));
     need(std::fabs(dot(car->normals[i], car->normals[i]) - 1) < 1e-4, "a normal is of length 1");
   }
-  // In a left-handed space a front that is counterclockwise has its cross product behind it.
+  // In left-handed axes the cross product of a counterclockwise front face points to its back.
   for (int32 i = 0; i < car->corners.Num(); i += 3) volume -= dot(at(i), cross(at(i + 1), at(i + 2))) / 6;
   need(volume > 1e6, "front sides look outwards");
   need(car->updates > 3, "it is updated as it dents");

@@ -48,7 +48,7 @@ def c_parameters(parameters: Parameters) -> Any:
     return to
 
 
-# A CrumpleReaction as it lies in memory; `car` is the address of its name.
+# The memory layout of a CrumpleReaction. `car` is the address of its name.
 _struct = ffi.typeof("CrumpleReaction")
 _formats = {"car": np.dtype("u8"), "tick": np.dtype("u8"), "time": np.dtype("f8"), "contacts": np.dtype("u4"),
             "energy_absorbed": np.dtype("f8"), "energy_stored": np.dtype("f8"), "deepest": np.dtype("f4")}

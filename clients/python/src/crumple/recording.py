@@ -33,7 +33,7 @@ from crumple.schema.Spawn import Spawn
 from crumple.session import View
 from crumple.types import Mesh, Obstacle, Pose, Shape, Surface, Vertices
 
-# What a chunk may hold, and for each byte that it takes; as the server's reader has it.
+# The most bytes that a chunk may hold, in all and per compressed byte. The server's reader has the same limits.
 CHUNK_MOST, RATIO_MOST = 64 << 20, 256  # bytes
 FRAME = ("/key/0", "/delta/0", "/reactions", "health", "tick")  # ends of keys
 
@@ -48,7 +48,7 @@ class Life:
     spawned: int  # ticks
     despawned: int | None = None
     mass: float = 0.0  # kg; 0: the baked car's
-    pose: Pose = Pose()  # of its spawn
+    pose: Pose = Pose()  # at its spawn
 
 
 class Frame(View):
@@ -165,9 +165,9 @@ class Recording:
 
     @cached_property
     def _chunks_checked(self) -> bool:
-        """mcap makes room for what a chunk, and what is packed in it, say that they hold."""
+        """Checks the sizes that a chunk and its compressed data claim, because mcap allocates as much memory."""
         summary = self._reader.get_summary()
-        if summary is None or not summary.chunk_indexes:  # it would be read in another way
+        if summary is None or not summary.chunk_indexes:  # mcap would then read it without the index
             raise Error(f"{self._file.name}: has no index of its chunks; crumple recover FILE -o WHOLE makes one")
         for index in summary.chunk_indexes:
             self._file.seek(index.chunk_start_offset + 9)  # opcode, length
@@ -175,14 +175,14 @@ class Recording:
             taken, holds = len(chunk.data), chunk.uncompressed_size
             if chunk.compression == "zstd":
                 holds = max(holds, zstandard.frame_content_size(chunk.data))
-            elif chunk.compression == "lz4" and 255 * taken > CHUNK_MOST:  # it cannot give more
+            elif chunk.compression == "lz4" and 255 * taken > CHUNK_MOST:  # less cannot expand beyond it
                 holds = max(holds, len(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=CHUNK_MOST + 1)))
             if holds > CHUNK_MOST or holds > RATIO_MOST * taken:
                 raise Error(f"{self._file.name}: a chunk claims to hold {holds} bytes in {taken}; record it anew")
         return True
 
     def _tick_at(self, time: float) -> int:
-        """The last tick that had ended then."""
+        """The last tick that had ended at this time."""
         ticks = self._ticks[:, 0]
         return int(ticks[max(0, int(np.searchsorted(ticks, time * self.rate + 1e-6, side="right")) - 1)])
 
@@ -190,7 +190,7 @@ class Recording:
         return int(self._ticks[np.searchsorted(self._ticks[:, 0], tick), 1])
 
     def _last_surface(self, car: str, tick: int) -> list[tuple[str, bytes]]:
-        """Gives what makes the surface after a tick: the last keyframe, and the last delta against it."""
+        """Gives the messages of the surface after a tick: the last keyframe, and the last delta against it."""
         found: list[tuple[str, bytes]] = []
         key_tick = 0
         for kind in ("key", "delta"):
@@ -207,8 +207,8 @@ class Recording:
         return found
 
     def at(self, time: float) -> Frame:
-        """Gives the cars after the last tick that had ended then, or after the first. The file is searched for a car when that
-        is first asked for."""
+        """Gives the cars after the last tick that had ended at this time, or after the first tick. It searches the file for a car
+        only when the caller first asks for the car."""
         return Frame(self, self._tick_at(time))
 
     def frames(self, start: float = 0.0, end: float = float("inf")) -> Iterator[Frame]:
@@ -270,9 +270,9 @@ class Recording:
 
     @cached_property
     def lives(self) -> list[Life]:
-        """Which cars were there, and when."""
+        """Which cars lived, and when."""
         lives: list[Life] = []
-        asked: dict[str, bytes] = {}  # not read yet, because a command that the server refused may be anything
+        asked: dict[str, bytes] = {}  # not parsed yet, because a refused command may be any bytes
         commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
         for tick, _, key, data in commands:
             car = key.split("/")[1]

@@ -256,7 +256,7 @@ class Stage:
         return stage
 
     def _best_camera(self, moments: list[Moment], points: Array, width: int, height: int) -> Camera:
-        """Gives that camera of many around the scene which sees most of the dents, and sees them large, when they are deepest
+        """Chooses the camera, of many around the scene, that sees most of the dents, and sees them large, when they are deepest
         and at the end."""
         judged = []
         for moment in moments:

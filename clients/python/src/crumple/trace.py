@@ -114,7 +114,7 @@ class Scene:
         return found
 
     def reached(self, origin: Array, direction: Array) -> Array:
-        """Whether nothing is in the way, however far."""
+        """Whether the rays meet nothing at any distance."""
         direction = np.ascontiguousarray(np.broadcast_to(direction, origin.shape), np.float32)
         return np.asarray(self._embree.run(np.ascontiguousarray(origin, np.float32), direction, query="OCCLUDED") == -1)
 

@@ -16,7 +16,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a frame stands in the world."""
+    """Position and orientation of a frame in the world."""
 
     position: Vector = ZERO
     orientation: Vector = (0.0, 0.0, 0.0, 1.0)
