@@ -22,7 +22,7 @@ namespace {
 using std::chrono::seconds;
 
 constexpr seconds promptly{3};  // an answer of a door under attack: milliseconds, on a machine under load too
-#ifdef __SANITIZE_ADDRESS__
+#ifdef CRUMPLE_SANITIZE
 constexpr size_t flat = size_t{1} << 30;  // the sanitizer keeps what is freed
 #else
 constexpr size_t flat = size_t{64} << 20;  // bytes that a door may have more than before, whatever comes
@@ -487,7 +487,7 @@ class HttpProgram : public Program {
 };
 
 TEST_F(HttpProgram, ConnectionsThatTakeEveryDescriptorEndNothing) {
-#ifdef __SANITIZE_ADDRESS__
+#ifdef CRUMPLE_SANITIZE
   GTEST_SKIP() << "the sanitizers' own checks need descriptors";
 #endif
   const std::string metrics = serve_metrics();
