@@ -251,7 +251,9 @@ Viewers put_together(const Run& run, const Served& served) {
         const auto& [ns, bytes] = seen.bytes[i];
         if (ns < run.begin_ns || ns > run.end_ns) continue;
         if (!first) first = &seen.bytes[i - 1];
-        const auto mbits = [&](const auto& since) { return 8e3 * double(bytes - since.second) / double(ns - since.first); };
+        const auto mbits = [&ns = ns, &bytes = bytes](const auto& since) {
+          return 8e3 * double(bytes - since.second) / double(ns - since.first);
+        };
         out.worst_mbits[is_far] = std::max(out.worst_mbits[is_far], mbits(seen.bytes[i - 1]));
         if (i + 1 == seen.bytes.size() || seen.bytes[i + 1].first > run.end_ns)
           out.mean_mbits[is_far] = std::max(out.mean_mbits[is_far], mbits(*first));

@@ -180,7 +180,7 @@ bool unpacked(std::string_view text, Flattened& surface) {
   alarm(reader_seconds);
   const rlimit none{0, 0};
   setrlimit(RLIMIT_CORE, &none);
-#if !defined(__SANITIZE_ADDRESS__)  // the address sanitizer needs terabytes of addresses
+#if !defined(CRUMPLE_SANITIZE)  // the address sanitizer needs terabytes of addresses
   const rlimit memory{reader_memory, reader_memory};
   setrlimit(RLIMIT_DATA, &memory);
 #endif

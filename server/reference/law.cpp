@@ -275,7 +275,7 @@ TetLaw tet_law(FlowLaw law, const ReferenceMaterial& m, const Matrix3d& f, doubl
     a = axes.eigenvectors() * axes.eigenvalues().cwiseMax(0).asDiagonal() * axes.eigenvectors().transpose();
   }
   using Vector9d = Eigen::Matrix<double, 9, 1>;
-  const auto stacked = [&](int i, int k) -> Vector9d {
+  const auto stacked = [&u = u, &v = v](int i, int k) -> Vector9d {  // clang 14 captures no bindings by [&]
     const Matrix3d outer = u.col(i) * v.col(k).transpose();
     return Eigen::Map<const Vector9d>(outer.data());
   };

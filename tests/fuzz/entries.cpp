@@ -26,7 +26,7 @@ constexpr Entry all[] = {ENTRIES(LIST)};
 std::span<const Entry> entries() { return all; }
 
 // libFuzzer watches these in addition to the counters of the code.
-#if defined(CRUMPLE_FUZZ)
+#if defined(CRUMPLE_SANITIZE)
 __attribute__((section("__libfuzzer_extra_counters")))
 #endif
 static uint8_t seen[512];

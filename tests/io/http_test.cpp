@@ -21,7 +21,7 @@ namespace {
 using std::chrono::seconds;
 
 constexpr seconds promptly{3};  // for an answer under attack: it takes milliseconds, also on a loaded machine
-#ifdef __SANITIZE_ADDRESS__
+#ifdef CRUMPLE_SANITIZE
 constexpr size_t flat = size_t{1} << 30;  // the sanitizer keeps freed memory
 #else
 constexpr size_t flat = size_t{64} << 20;  // bytes by which a server may grow under any attack
@@ -486,7 +486,7 @@ class HttpProgram : public Program {
 };
 
 TEST_F(HttpProgram, ConnectionsThatTakeEveryDescriptorEndNothing) {
-#ifdef __SANITIZE_ADDRESS__
+#ifdef CRUMPLE_SANITIZE
   GTEST_SKIP() << "the sanitizers' own checks need descriptors";
 #endif
   const std::string metrics = serve_metrics();
