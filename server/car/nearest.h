@@ -46,8 +46,14 @@ Nearest find_nearest(const BoxTree& tree, const Eigen::Vector3d& point, const Sq
   return search.best;
 }
 
-// From Ericson, Real-Time Collision Detection, 5.1.5, by the regions of the triangle's corners, edges and face.
-double squared_distance_to_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
-                                    const Eigen::Vector3d& c);
+// From a triangle's nearest point to p. From Ericson, Real-Time Collision Detection, 5.1.5, by the regions of the triangle's
+// corners, edges and face.
+Eigen::Vector3d offset_from_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                     const Eigen::Vector3d& c);
+
+inline double squared_distance_to_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                           const Eigen::Vector3d& c) {
+  return offset_from_triangle(p, a, b, c).squaredNorm();
+}
 
 }  // namespace crumple
