@@ -1,6 +1,7 @@
 // From a surface mesh to a baked car: import, tets, constraints, skin, regions, spatial order, one file. Each step is a file of
-// its own beside this one; bake() is their table of contents. The same surface and the same tets give the same bytes; fTetWild
-// gives slightly other tets each time, so a car that must be the same again is kept, or its tets are.
+// its own beside this one; bake() is their table of contents. The same surface and the same tets give the same bytes. The
+// lattice gives the same tets each time; fTetWild slightly others, so a car that must be the same again is kept, or its tets
+// are.
 #pragma once
 
 #include <memory>
@@ -15,10 +16,13 @@
 
 namespace crumple {
 
+enum class Mesher { lattice, ftetwild };
+
 struct BakeOptions {
   std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
-  size_t nodes = 2'500;                // wanted from fTetWild, met within 15 %
-  std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: fTetWild
+  size_t nodes = 2'500;                // wanted; the lattice meets them within 5 %, fTetWild within 15 %
+  Mesher mesher = Mesher::ftetwild;    // makes the tets: see make_tets.h
+  std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: the mesher makes them
   std::optional<RegionsText> regions;  // none: the default safety cell
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass
   ImportOptions import;                // axes and unit of the input
