@@ -162,7 +162,8 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   if (is_baked_car(options.input)) return rebake(*load_car(options.input), options);
   const ImportedSurface input = read_surface(options);
   std::vector<std::string> report = input.report;
-  TetMesh tets = options.tets.empty() ? tetrahedralise(input, options.nodes, options.input, progress, report)
+  const auto make_tets = options.mesher == Mesher::lattice ? fill_with_tets : tetrahedralise;
+  TetMesh tets = options.tets.empty() ? make_tets(input, options.nodes, options.input, progress, report)
                                       : import_tets(options.tets, input.from_file, report);
   if (progress) progress("constraints, skin and regions");
   BakeResult out = assemble_car(input.surface, std::move(tets), options);

@@ -1,6 +1,6 @@
 // From a surface mesh to a baked car: import, tets, constraints, skin, regions, spatial order, one file. Each step has its own
-// file here; bake() calls them in order. The same surface and the same tets give the same bytes. fTetWild gives slightly
-// different tets each time, so keep a car, or its tets, if it must stay the same.
+// file here; bake() calls them in order. The same surface and the same tets give the same bytes. The lattice gives the same
+// tets each time. fTetWild gives slightly different tets each time, so keep a car, or its tets, if it must stay the same.
 #pragma once
 
 #include <memory>
@@ -15,10 +15,13 @@
 
 namespace crumple {
 
+enum class Mesher { lattice, ftetwild };
+
 struct BakeOptions {
   std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
-  size_t nodes = 2'500;                // wanted nodes, reached within 15 % by fTetWild
-  std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: fTetWild
+  size_t nodes = 2'500;                // wanted nodes, reached within 5 % by the lattice, within 15 % by fTetWild
+  Mesher mesher = Mesher::ftetwild;    // makes the tets (make_tets.h)
+  std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: the mesher makes them
   std::optional<RegionsText> regions;  // none: the default safety cell
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass
   ImportOptions import;                // axes and unit of the input

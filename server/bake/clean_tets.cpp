@@ -94,6 +94,12 @@ void drop_small_parts(TetMesh& mesh, std::vector<std::string>& report) {
 
 }  // namespace
 
+void check_node_count(size_t nodes) {
+  if (nodes < 100 || nodes > max_nodes)
+    throw std::runtime_error("--nodes " + std::to_string(nodes) + ": give a number from 100 to " + std::to_string(max_nodes) +
+                             ".");
+}
+
 TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>& tets, const std::string& name,
                    std::vector<std::string>& report) {
   const size_t n = nodes.size() / 3, t = tets.size() / 4;

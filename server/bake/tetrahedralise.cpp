@@ -123,9 +123,7 @@ Run next_guess(const std::vector<Run>& runs, size_t nodes) {
 
 TetMesh tetrahedralise(const ImportedSurface& input, size_t nodes, const std::string& name, const Progress& progress,
                        std::vector<std::string>& report) {
-  if (nodes < 100 || nodes > max_nodes)
-    throw std::runtime_error("--nodes " + std::to_string(nodes) + ": give a number from 100 to " + std::to_string(max_nodes) +
-                             ".");
+  check_node_count(nodes);
   std::vector<Run> runs;
   Run run = first_guess(input, nodes);
   for (int count = 1; count <= most_runs; ++count) {

@@ -47,8 +47,14 @@ Nearest find_nearest(const BoxTree& tree, const Eigen::Vector3d& point, const Sq
   return search.best;
 }
 
-// Ericson, Real-Time Collision Detection, 5.1.5: tests the regions of the triangle's corners, edges and face.
-double squared_distance_to_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
-                                    const Eigen::Vector3d& c);
+// The vector from a triangle's nearest point to p. Ericson, Real-Time Collision Detection, 5.1.5: tests the regions of the
+// triangle's corners, edges and face.
+Eigen::Vector3d offset_from_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                     const Eigen::Vector3d& c);
+
+inline double squared_distance_to_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                           const Eigen::Vector3d& c) {
+  return offset_from_triangle(p, a, b, c).squaredNorm();
+}
 
 }  // namespace crumple
