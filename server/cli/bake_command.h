@@ -11,6 +11,7 @@ namespace crumple {
 struct BakeCommandOptions {
   BakeOptions bake;
   std::vector<size_t> nodes;      // none: BakeOptions' own; more than one: levels of the car
+  std::string mesher;             // lattice or ftetwild; empty: BakeOptions' own
   std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: none
   std::string output;             // the baked car; of several NAME-NODES.car
 };
