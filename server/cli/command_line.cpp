@@ -6,7 +6,6 @@
 #include <cstdio>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <sstream>
 
 #include "cli/bake_command.h"
@@ -119,14 +118,12 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
       ->delimiter(',')
       ->allow_extra_args(false)
       ->check(CLI::Range(100, 200'000));
-  const std::map<std::string, Mesher> meshers = {{"lattice", Mesher::lattice}, {"ftetwild", Mesher::ftetwild}};
-  verb.add_option("--mesher", bake.mesher,
+  verb.add_option("--mesher", options.mesher,
                   "what makes the tets. lattice: for any surface, open, in many parts or with faces turned; it fills the car, "
                   "keeps every part, takes seconds, and gives the same file each time. ftetwild: for a closed surface in one "
                   "part, which its tets follow more closely; of an open one it may take minutes, drop parts, or leave the car "
                   "hollow. Default: ftetwild")
-      ->transform(CLI::CheckedTransformer(meshers, CLI::ignore_case).description(""))
-      ->type_name("lattice|ftetwild");
+      ->check(CLI::IsMember({"lattice", "ftetwild"}));
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
       ->check(is_file);
