@@ -18,8 +18,8 @@ constexpr int most_runs = 12, most_repairs = 3;
 // Voxels in a spacing: a finer lattice would follow the voxels instead of the surface. Bounds a lattice to 4 million nodes.
 constexpr double finest_spacing = 1.5;
 // How far a drawn vertex may stick out of the tets before the lattice's node nearest to it is held, and all is cut again: the
-// less of a share of the spacing and of what a skin may ride apart.
-constexpr double sticks_out_share = 0.4, sticks_out = 0.07;  // m
+// distance that a skin may ride apart, but between two shares of the spacing.
+constexpr double sticks_out = 0.07, least_share = 0.3, most_share = 0.4;  // m
 
 struct Run {
   double spacing;
@@ -73,27 +73,32 @@ class Stuffing {
     double spacing, error;
   };
 
-  // nodes ~ spacing^-k between the two nearest runs on either side of the goal; or from the nearest, with k of the two
-  // nearest on one side, 2.5 at first: between a sheet and a solid.
+  // nodes ~ spacing^-k between the two neighbouring runs on either side of the goal; or from the nearest run, with k of the two
+  // nearest, 2.5 at first: between a sheet and a solid. The count jumps where a part becomes thin, so it may miss the goal
+  // between neighbours too: then beside the best run, farther each time.
   double guess() const {
-    const Tried *low = nullptr, *high = nullptr, *best = nullptr, *second = nullptr;
-    for (const Tried& tried : tried_) {
-      const Tried*& side = tried.error < 0 ? low : high;
-      if (!side || std::abs(tried.error) < std::abs(side->error)) side = &tried;
-      if (!best || std::abs(tried.error) < std::abs(best->error))
-        second = best, best = &tried;
-      else if (!second || std::abs(tried.error) < std::abs(second->error))
-        second = &tried;
+    constexpr double same = 0.002, step = 0.003;  // of the spacing
+    std::vector<Tried> by_error = tried_, by_spacing = tried_;
+    std::sort(by_error.begin(), by_error.end(), [](auto& a, auto& b) { return std::abs(a.error) < std::abs(b.error); });
+    std::sort(by_spacing.begin(), by_spacing.end(), [](auto& a, auto& b) { return a.spacing < b.spacing; });
+    const Tried best = by_error[0];
+    double nearest = HUGE_VAL, out = 0;
+    for (size_t i = 1; i < by_spacing.size(); ++i) {
+      const Tried &a = by_spacing[i - 1], &b = by_spacing[i];
+      const double apart = std::abs(a.error) + std::abs(b.error);
+      if ((a.error > 0) == (b.error > 0) || b.spacing < (1 + same) * a.spacing || apart >= nearest) continue;
+      nearest = apart;
+      out = a.spacing * std::pow(b.spacing / a.spacing, std::clamp(std::abs(a.error) / apart, 0.1, 0.9));
     }
-    if (low && high) {
-      // The count jumps where a part becomes thin: when few runs are left, the middle.
-      const double share = 2 * tried_.size() > most_runs ? 0.5 : high->error / (high->error - low->error);
-      return high->spacing * std::pow(low->spacing / high->spacing, share);
-    }
+    if (out > 0) return out;
+    const bool all_on_one_side = by_error.size() == 1 || std::all_of(tried_.begin(), tried_.end(), [&](const Tried& tried) {
+                                   return (tried.error > 0) == (best.error > 0);
+                                 });
+    if (!all_on_one_side) return best.spacing * (1 + (best.error > 0 ? step : -step) * double(tried_.size()));
     double k = 2.5;
-    if (second && second->spacing != best->spacing)
-      k = std::clamp(-(best->error - second->error) / std::log(best->spacing / second->spacing), 1.2, 4.0);
-    return best->spacing * std::exp(best->error / k);
+    if (by_error.size() > 1)
+      k = std::clamp(-(best.error - by_error[1].error) / std::log(best.spacing / by_error[1].spacing), 1.2, 4.0);
+    return best.spacing * std::exp(best.error / k);
   }
 
   const FilledSurface& filled_;
@@ -130,7 +135,8 @@ TetMesh fill_with_tets(const ImportedSurface& input, size_t nodes, const std::st
   const auto finish = [&](Run& run) {
     tell("lattice: fitting " + std::to_string(run.tets.node.size()) + " nodes to the surface");
     finish_tets(drawn, filled, run.spacing, run.tets);
-    return find_outliers(drawn, run.tets, std::min(sticks_out, sticks_out_share * run.spacing), run.spacing);
+    return find_outliers(drawn, run.tets, std::clamp(sticks_out, least_share * run.spacing, most_share * run.spacing),
+                         run.spacing);
   };
   size_t runs = stuffing.runs();
   Outliers outliers = finish(best);
