@@ -132,7 +132,8 @@ Ways ways_from(const Lattice& lattice, const std::vector<double>& depth, const s
     if (piece[v] == main) out.cost[v] = 0, queue.emplace(0, v);
   const double along = lattice.spacing, across = std::sqrt(0.75) * lattice.spacing;
   while (!queue.empty()) {
-    const auto [cost, v] = queue.top();
+    const double cost = queue.top().first;
+    const uint32_t v = queue.top().second;
     queue.pop();
     if (cost > out.cost[v]) continue;
     for_each_neighbor(lattice, v, [&](uint32_t w) {

@@ -1,7 +1,9 @@
 #include "viewer/follow.h"
 
 #include <algorithm>
+#include <tuple>
 #include <utility>
+#include <vector>
 
 #include "schema/message_generated.h"
 
@@ -10,33 +12,43 @@ namespace {
 
 using Entry = std::pair<const std::string, FollowedCar>;
 
-// Whether another question may be put now. A car of which something has come is asked for at once.
-bool may_ask(const Following& all, const FollowedCar& car) {
-  return all.tickets.size() < questions_limit || car.last != Time{} || !car.surface.quanta.empty();
+// The pause after a question that brought nothing: each time twice as long.
+std::chrono::milliseconds pause_of(const FollowedCar& car) {
+  return car.tries == 0 ? std::chrono::milliseconds(0)
+                        : std::min(ask_again * (1 << std::min(car.tries - 1, 10)), longest_pause);
 }
 
-// Asks at once, but waits before it asks again if the last answer brought nothing: each time twice as long.
+// Asks at once if a slot is free and the pause after the last question is over. Otherwise ask_due() asks later.
 void ask_for_keyframe(Following& all, const std::string& id, FollowedCar& car, Time now) {
-  if (car.asking || (car.owed && now - car.asked < car.pause)) return;
-  if (!may_ask(all, car)) return;  // ask_due() tries again
-  car.pause = car.owed ? std::min(2 * car.pause, longest_pause) : ask_again;
+  if (car.asking || (car.owed && now - car.asked < pause_of(car))) return;
   car.owed = true;
+  if (all.open >= questions_limit) return;
   car.asking = all.ask(all.root + "car/" + id + "/key/" + std::to_string(car.level), {}, keyframe_patience);
   if (!car.asking) return;
-  all.tickets[car.asking] = id;
+  all.questions[car.asking] = {id};
+  ++all.open;
+  ++car.tries;
   car.asked = now;
   car.unsure = false;
 }
 
-// Forgets an earlier question: its answer would say nothing about the present.
+// Frees the slot of a question: an answer has come, or none will come.
+void free_slot(Following& all, Question& question) {
+  if (std::exchange(question.open, false)) --all.open;
+}
+
+// Forgets an earlier question: its answer would say nothing about the present. The network still carries the question, so it
+// keeps its slot.
 void forget_question(Following& all, FollowedCar& car) {
-  all.tickets.erase(std::exchange(car.asking, 0));
+  const auto at = all.questions.find(std::exchange(car.asking, 0));
+  if (at != all.questions.end()) at->second.id.clear();
   car.owed = false;
 }
 
 void begin_anew(Following& all, FollowedCar& car) {
   car.fresh = true;
   car.coming = {};
+  car.tries = 0;
   forget_question(all, car);
 }
 
@@ -71,6 +83,8 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
   const bool other_key = !surface.key.empty() && surface.key_tick != key_before;
   car.unsure = !asked_for;
   car.owed &= !asked_for || applied == Applied::refused;
+  if (keyframe && applied == Applied::whole) car.owed = false;
+  if (!car.owed) car.tries = 0;
   if (asked_for) car.doubtful = false;
   if (applied == Applied::whole && &surface == &car.coming) car.surface = std::exchange(car.coming, {});
   if (applied == Applied::whole) car.fresh &= !keyframe;
@@ -79,11 +93,16 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
   return {&id, &car, std::move(outcome), asked_for, counts};
 }
 
-// Another owner appeared. The viewer may hold surfaces of one owner and receive messages of the other. If both were there for a
-// moment, no token of the scene or of its cars has gone. So the viewer asks for all keyframes again.
-void another_owner(Following& all, Time now) {
+// Asks for all keyframes again after another owner appeared, and some time after an owner went. The viewer may hold surfaces of
+// one owner and receive messages of the other. If both were there for a moment, no token of the scene or of its cars has gone.
+// Owners that come and go without end are tokens of strangers, so the viewer believes them less and less often.
+void renew_due(Following& all, Time now) {
+  if (now < all.renew_at || now - all.renewed < all.renew_pause) return;
+  all.renew_pause = now - all.renewed > owners_settle ? ask_again : std::min(2 * all.renew_pause, longest_pause);
+  all.renewed = now;
+  all.renew_at = Time::max();
   for (auto& [id, car] : all.cars) {
-    if (!car.alive) continue;
+    if (!car.alive || car.surface.quanta.empty()) continue;  // ask_due() asks for the others anyway
     begin_anew(all, car);
     ask_for_keyframe(all, id, car, now);
   }
@@ -119,7 +138,10 @@ SurfaceNews Following::take_sample(const Key& key, std::span<const uint8_t> byte
 }
 
 void Following::take_token(const Key& key, bool alive, Time now) {
-  if (key.channel == Channel::owner) return another_owner(*this, now);
+  if (key.channel == Channel::owner) {
+    renew_at = alive ? now : std::min(renew_at, now + ask_again);
+    return renew_due(*this, now);
+  }
   Entry* entry = key.channel == Channel::command ? followed(*this, key.id) : nullptr;
   if (!entry) return;
   auto& [id, car] = *entry;
@@ -146,34 +168,47 @@ void Following::take_health(const schema::Health& message, Time now) {
 }
 
 SurfaceNews Following::take_reply(uint64_t ticket, std::span<const uint8_t> bytes, bool failed, Time now) {
-  const auto at = tickets.find(ticket);
-  if (at == tickets.end() || failed) return {};
-  const auto entry = cars.find(at->second);
+  const auto at = questions.find(ticket);
+  if (at == questions.end()) return {};
+  free_slot(*this, at->second);
+  const auto entry = failed ? cars.end() : cars.find(at->second.id);
   return entry == cars.end() ? SurfaceNews{} : take_surface(*this, *entry, true, true, bytes, now);
 }
 
 void Following::end(uint64_t ticket) {
-  const auto at = tickets.find(ticket);
-  if (at == tickets.end()) return;
-  if (const auto entry = cars.find(at->second); entry != cars.end()) entry->second.asking = 0;
-  tickets.erase(at);
+  const auto at = questions.find(ticket);
+  if (at == questions.end()) return;
+  free_slot(*this, at->second);
+  if (const auto entry = cars.find(at->second.id); entry != cars.end()) entry->second.asking = 0;
+  questions.erase(at);
 }
 
 void Following::doubt(Time now) {
   for (auto& [id, car] : cars) {
     if (!car.alive || car.surface.quanta.empty()) continue;
     forget_question(*this, car);
-    car.asked = {};
+    car.tries = 0;
     car.doubtful = true;
   }
   ask_due(now);
 }
 
+// Free slots go first to the cars with the fewest tries, then to those that have waited longest. A car that does not exist
+// fails each time, so it cannot keep a slot from one that exists.
 void Following::ask_due(Time now) {
-  for (auto& [id, car] : cars) {
-    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > car.pause;
-    if (unanswered || (car.unsure && now - car.last > silence)) ask_for_keyframe(*this, id, car, now);
+  renew_due(*this, now);
+  std::vector<Entry*> due;
+  for (Entry& entry : cars) {
+    const FollowedCar& car = entry.second;
+    const bool unanswered = (car.doubtful || car.owed || car.fresh) && car.alive && now - car.asked > pause_of(car);
+    if (!car.asking && (unanswered || (car.unsure && now - car.last > silence))) due.push_back(&entry);
   }
+  const size_t slots = questions_limit - std::min(open, questions_limit);
+  const auto last = due.begin() + static_cast<ptrdiff_t>(std::min(due.size(), slots));
+  std::partial_sort(due.begin(), last, due.end(), [](const Entry* a, const Entry* b) {
+    return std::tie(a->second.tries, a->second.asked, a->first) < std::tie(b->second.tries, b->second.asked, b->first);
+  });
+  for (auto at = due.begin(); at != last; ++at) ask_for_keyframe(*this, (*at)->first, (*at)->second, now);
 }
 
 }  // namespace crumple::viewer

@@ -28,11 +28,13 @@ inline constexpr std::chrono::milliseconds on_its_way{100};
 // Anyone who may publish can invent cars, so a viewer that follows all cars follows at most this many: as many as four scenes
 // have.
 inline constexpr size_t cars_limit = 4'096;
-// Anyone who may publish tokens can also make each viewer ask for 4,096 cars that are not there: with eight viewers at a router
-// that deafened it for 26 s. So a viewer waits for so many answers at a time, unless something of the car has come already; and
-// it asks less and less often for a keyframe that does not come.
+// They also make each viewer ask for cars that are not there: eight viewers and 4,000 invented cars deafened a router for 26 s.
+// So a viewer waits for the answers to at most this many questions, and asks less and less often for a keyframe that does not
+// come.
 inline constexpr size_t questions_limit = 64;
 inline constexpr std::chrono::milliseconds longest_pause{8000};
+// The viewer believes another owner at once if the last one appeared longer ago.
+inline constexpr std::chrono::milliseconds owners_settle{60'000};
 // A subscription to surfaces or reactions keeps at most this many samples until they are polled, of at most this many bytes
 // each: a part of a surface has at most 64,000, reactions of 1,000 cars have 200,000.
 inline constexpr uint32_t samples_waiting = 4'096;
@@ -50,9 +52,9 @@ struct FollowedCar {
   bool owed = false;      // the viewer asked for a keyframe that has not come
   bool fresh = true;      // the car, its owner or its level is new: the next keyframe counts, whatever its tick
   Time asked{};           // when the viewer last asked for its keyframe
-  std::chrono::milliseconds pause = ask_again;  // before it asks again
-  uint64_t asking = 0;                          // ticket of the question for the keyframe; 0: none
-  Time last{};                                  // when its last message came
+  int tries = 0;          // questions since a keyframe came; the pause before the next one follows from them
+  uint64_t asking = 0;    // ticket of the question for the keyframe; 0: none
+  Time last{};            // when its last message came
 };
 
 // The effect of a keyframe or a delta.
@@ -64,12 +66,21 @@ struct SurfaceNews {
   bool counts = false;  // later messages refer to it, so everybody else who follows the car needs it
 };
 
+struct Question {
+  std::string id;    // of the car; empty: its answer does not count any more
+  bool open = true;  // no answer has come, so the question takes a slot
+};
+
 struct Following {
   std::string root;  // of the scene's keys
   Ask ask;
   int level = none;  // of all cars, present and future; none: the viewer follows only those in `cars`
   std::map<std::string, FollowedCar, std::less<>> cars = {};
-  std::map<uint64_t, std::string> tickets = {};  // ticket of a question -> id of the car
+  std::map<uint64_t, Question> questions = {};  // by ticket
+  size_t open = 0;                              // number of open questions
+  Time renewed{};                               // when the viewer last asked for all keyframes again
+  Time renew_at = Time::max();                  // when it will do so next
+  std::chrono::milliseconds renew_pause{0};     // least time between two of these
 
   // Follows one car, or all cars, at this level.
   void follow(const std::string& id, int level, Time now);

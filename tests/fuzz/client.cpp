@@ -120,7 +120,7 @@ bool client_run(Input input) {
       fit_hash(kind != delta, car.fresh && kind != delta ? car.coming : car.surface, part.bytes);
     }
     session.answers[answer_ticket];
-    session.following.tickets[keyframe_ticket] = "c0";
+    session.following.questions[keyframe_ticket] = {"c0", false};
     // The asset with these bytes: its name is their hash.
     char hash[17];
     std::snprintf(hash, sizeof hash, "%016llx",

@@ -150,30 +150,70 @@ TEST(Viewer, AsksLessAndLessOftenForAKeyframeThatDoesNotCome) {
 }
 
 // Anyone who may publish can claim that cars exist. Without the limit each viewer asked for all of them twice a second.
-TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndARealOneComesFirst) {
-  Follower one;
-  constexpr size_t invented = 1000;
-  const auto is_open = [&] { return one.all.tickets.size(); };
-  for (size_t k = 0; k < invented; ++k) one.all.take_token(*parse_key("car/0-" + std::to_string(k)), true, one.now);
-  EXPECT_EQ(is_open(), viewer::questions_limit);
-  one.token(true);
-  EXPECT_EQ(is_open(), viewer::questions_limit) << "it waits as well";
-  EXPECT_EQ(one.delta(20, 2, 19, 1), Applied::missing_keyframe);
-  EXPECT_EQ(is_open(), viewer::questions_limit + 1) << "something of this one has come";
-  EXPECT_EQ(one.last().key, "crumple/1/main/car/a/key/0");
-  one.answer(one.last().ticket, 20, 2);
-  EXPECT_EQ(one.held(), 20u);
+struct Crowd : Follower {
+  static constexpr size_t invented = 1000;
   std::set<std::string> asked;
-  for (; one.now < viewer::Time{1h + 60s}; one.pass(50ms)) {
-    EXPECT_LE(is_open(), viewer::questions_limit);
-    const auto open = one.all.tickets;
-    for (const auto& [ticket, id] : open) {
-      asked.insert(id);
-      one.answer(ticket, 0, 0, true);
+  Crowd() {
+    for (size_t k = 0; k < invented; ++k) all.take_token(*parse_key("car/0-" + std::to_string(k)), true, now);
+  }
+  // The server knows none of these cars. ends: false if somebody else never answers, so that the question stays open at the
+  // asker.
+  void refuse_all(bool ends) {
+    const auto questions_now = all.questions;
+    for (const auto& [ticket, question] : questions_now) {
+      asked.insert(question.id);
+      all.take_reply(ticket, {}, true, now);
+      if (ends) all.end(ticket);
     }
   }
-  EXPECT_EQ(asked.size(), invented) << "each is asked for";
-  EXPECT_LT(one.questions.size(), 14 * invented) << "in a minute";
+};
+
+TEST(Viewer, InventedCarsMakeItAskForAFewAtATimeAndDoNotHideARealOne) {
+  for (const bool ends : {true, false}) {
+    Crowd one;
+    EXPECT_EQ(one.questions.size(), viewer::questions_limit);
+    one.token(true);
+    EXPECT_EQ(one.all.open, viewer::questions_limit) << "a real one waits as well";
+    for (size_t k = 0; k <= Crowd::invented / viewer::questions_limit && !one.car().asking; ++k) {
+      EXPECT_LE(one.all.open, viewer::questions_limit);
+      one.refuse_all(ends);
+      one.pass(10ms);
+    }
+    ASSERT_TRUE(one.car().asking) << "as soon as each of them was refused once";
+    one.answer(one.car().asking, 20, 2);
+    EXPECT_EQ(one.held(), 20u);
+    EXPECT_EQ(one.delta(30, 2, 29, 1), Applied::missing_keyframe);
+    one.pass(10ms);
+    EXPECT_TRUE(one.car().asking) << "later it comes before those that were refused";
+  }
+}
+
+TEST(Viewer, AsksInventedCarsLessAndLessOften) {
+  Crowd one;
+  for (; one.now < viewer::Time{1h + 60s}; one.pass(50ms)) one.refuse_all(true);
+  EXPECT_EQ(one.asked.size(), Crowd::invented) << "each is asked for";
+  EXPECT_LT(one.questions.size(), 14 * Crowd::invented) << "in a minute";
+}
+
+TEST(Viewer, OwnersThatComeAndGoWithoutEndMakeItAskLessAndLessOften) {
+  Crowd one;
+  for (bool alive = true; one.now < viewer::Time{1h + 60s}; alive = !alive) {
+    one.all.take_token(*parse_key("owner/0-x"), alive, one.now);
+    EXPECT_LE(one.all.open, viewer::questions_limit);
+    one.pass(30ms);
+    one.refuse_all(true);
+  }
+  EXPECT_LT(one.questions.size(), 14 * Crowd::invented) << "in a minute";
+}
+
+TEST(Viewer, AQuestionThatWasForgottenKeepsItsSlotUntilItEnds) {
+  Crowd one;
+  for (size_t k = 0; k < Crowd::invented; ++k) one.all.forget("0-" + std::to_string(k));
+  one.token(true);
+  EXPECT_FALSE(one.car().asking);
+  one.all.end(one.questions.front().ticket);
+  one.pass(10ms);
+  EXPECT_TRUE(one.car().asking);
 }
 
 TEST(Viewer, AsksOnceWhereACarFellSilentAfterAMessage) {
@@ -246,6 +286,22 @@ TEST(Viewer, AsksAnotherOwnerForEachCarThatLives) {
   one.token(false);
   one.all.take_token(*parse_key("owner/3-c"), true, one.now);
   EXPECT_EQ(one.questions.size(), before + 1) << "the car is gone";
+}
+
+TEST(Viewer, AsksAnewAMomentAfterAnOwnerWentAndAtOnceWhenOneComes) {
+  Follower one;
+  one.settle();
+  const size_t before = one.questions.size();
+  one.all.take_token(*parse_key("owner/1-a"), false, one.now);
+  EXPECT_EQ(one.questions.size(), before) << "nobody is there who could answer";
+  one.pass(200ms);
+  one.all.take_token(*parse_key("owner/2-b"), true, one.now);
+  EXPECT_EQ(one.questions.size(), before + 1);
+  one.answer(one.last().ticket, 3, 4);
+  one.all.take_token(*parse_key("owner/1-a"), false, one.now);
+  one.pass(viewer::ask_again);
+  one.pass(viewer::ask_again);
+  EXPECT_EQ(one.questions.size(), before + 2) << "the first may have answered meanwhile";
 }
 
 TEST(Viewer, FollowsNoMoreCarsThanItsLimit) {

@@ -541,9 +541,11 @@ std::string surfaces_differ(const Actor& viewer, const World& world) {
 
 std::string session_grows(const Actor& actor) {
   const Crumple& session = inside(actor);
-  const auto &following = session.following.tickets, &fetching = session.fetching.tickets;
-  if (following.size() > session.following.cars.size() + 2 || session.answers.size() > client::answers_kept ||
-      session.reactions.size() > client::reactions_kept || fetching.size() > session.fetching.assets.size())
+  const auto& following = session.following.questions;
+  const auto& fetching = session.fetching.tickets;
+  if (following.size() > session.following.cars.size() + viewer::questions_limit ||
+      session.answers.size() > client::answers_kept || session.reactions.size() > client::reactions_kept ||
+      fetching.size() > session.fetching.assets.size())
     return actor.name + " keeps questions that have ended: " + std::to_string(following.size());
   if (keys_of(actor.net) > 4) return actor.name + " publishes on " + std::to_string(keys_of(actor.net)) + " keys";
   return {};
