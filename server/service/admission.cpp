@@ -13,10 +13,11 @@ namespace {
 // Bytes of one sample. Between two ticks the transport keeps only the latest poses and the latest obstacles of each host. Poses
 // of 1,000 cars have 200 kB.
 constexpr size_t sample_limit = size_t{1} << 20;
-// What a tick may spend on queries, in keyframes. A keyframe is copied and compressed: some 20 us. A command may copy a whole
-// body (spawn, save, load) and a query for an asset copies 256 KiB: some ms at 50,000 nodes. A tick takes only one uploaded
-// car, whose check takes as long at a tenth of the nodes, or one query for the last inputs of all hosts, which may have 16 MiB.
-constexpr int queries_pay = 256, keyframe_costs = 1, other_query_costs = 16;
+// What a tick takes of each line. A command may copy a whole body (spawn, save, load): some ms at 50,000 nodes. A keyframe is
+// copied and compressed: some 20 us. A piece of a baked car is a copy of 256 KiB. A tick takes only one uploaded car, whose
+// check takes as long as 16 commands at a tenth of the nodes, and one query for the last inputs of all hosts, which may have 16
+// MiB.
+constexpr std::array<int, line_count> taken_per_tick = {16, 128, 4};
 constexpr size_t long_asset = size_t{64} << 10;          // bytes; anything shorter is no car, and is refused quickly
 constexpr size_t query_bytes_limit = size_t{256} << 20;  // of all waiting queries: four of the longest
 constexpr size_t command_limit = size_t{32} << 20;       // bytes: a load command with the state of a car of 100,000 nodes
@@ -26,6 +27,11 @@ constexpr size_t newcomers_limit = 2'048;
 
 void need(int status) {
   if (status < 0) throw std::runtime_error(transport_error());
+}
+
+Line line_of(Channel channel) {
+  if (channel == Channel::command || channel == Channel::asset) return Line::commands;
+  return channel == Channel::keyframe ? Line::keyframes : Line::reads;
 }
 
 std::span<const std::byte> bytes_of(const NetEvent& event) {
@@ -59,12 +65,13 @@ void Admission::take_query(Net* net, const NetEvent& event, const Key& key) {
         net, event.ticket,
         "nothing is asked under " + printable(event.key) + ": schema/README.md lists the keys; ids are " + id_rule);
   }
-  if (queries_.size() >= query_limit || queries_bytes_ + event.size > query_bytes_limit)
+  std::deque<Query>& line = lines_[size_t(line_of(key.channel))];
+  if (line.size() >= query_limit || queries_bytes_ + event.size > query_bytes_limit)
     return refuse_query(net, event.ticket, "too many questions wait here: ask again later");
   const auto bytes = bytes_of(event);
   const std::string_view below = key.channel == Channel::piece ? "" : std::string_view(event.key).substr(root_.size());
   queries_bytes_ += event.size;
-  queries_.push_back({key.channel, std::string(key.id), {std::string(below), {bytes.begin(), bytes.end()}, event.ticket}});
+  line.push_back({key.channel, std::string(key.id), {std::string(below), {bytes.begin(), bytes.end()}, event.ticket}});
 }
 
 void Admission::take_sample(const NetEvent& event, const Key& key) {
@@ -76,7 +83,13 @@ void Admission::take_sample(const NetEvent& event, const Key& key) {
   const auto bytes = bytes_of(event);
   Message message{event.key + root_.size(), {bytes.begin(), bytes.end()}};
   latest_.keep(message);
-  samples_.push_back(std::move(message));
+  // The transport gives the latest sample of each key, but another may come while a long line of events is taken.
+  const auto same_key = [&](const Message& other) { return other.key == message.key; };
+  const auto before = known ? std::find_if(samples_.begin(), samples_.end(), same_key) : samples_.end();
+  if (before != samples_.end())
+    *before = std::move(message);
+  else
+    samples_.push_back(std::move(message));
 }
 
 void Admission::take(Net* net, const NetEvent& event, const Key& key) {
@@ -90,25 +103,34 @@ std::vector<std::shared_ptr<const Car>> Admission::all_cars(const World& world) 
   return cars;
 }
 
-// Queries come before samples, so a host may spawn a car and move it at once.
+size_t Admission::waiting() const {
+  size_t sum = 0;
+  for (const auto& line : lines_) sum += line.size();
+  return sum;
+}
+
+// Queries come before samples, and commands before keyframes: a host may spawn a car, move it and ask for it at once.
 Inbox Admission::admit(Net* net, const World& world) {
   Inbox inbox;
-  for (int left = queries_pay; !queries_.empty(); queries_.pop_front()) {
-    auto& [channel, hash, next] = queries_.front();
-    const bool long_one = channel == Channel::latest || (channel == Channel::asset && next.bytes.size() > long_asset);
-    left -= long_one ? queries_pay : channel == Channel::keyframe ? keyframe_costs : other_query_costs;
-    if (left < 0) break;
-    queries_bytes_ -= next.bytes.size();
-    const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
-    const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
-    if (channel == Channel::latest)
-      latest_.answer(net, next.ticket);
-    else if (channel == Channel::world)
-      world_answers_.answer(net, query, world);
-    else if (channel == Channel::piece)
-      answer_asset(net, query, hash, all_cars(world));
-    else
-      inbox.push_back(std::move(next));
+  for (size_t k = 0; k < line_count; ++k) {
+    std::deque<Query>& line = lines_[k];
+    for (int left = taken_per_tick[k]; !line.empty(); line.pop_front()) {
+      auto& [channel, hash, next] = line.front();
+      const bool long_one = channel == Channel::latest || (channel == Channel::asset && next.bytes.size() > long_asset);
+      left -= long_one ? taken_per_tick[k] : 1;
+      if (left < 0) break;
+      queries_bytes_ -= next.bytes.size();
+      const auto* bytes = reinterpret_cast<const uint8_t*>(next.bytes.data());
+      const NetEvent query{NET_QUERY, 0, next.key.c_str(), bytes, next.bytes.size(), next.ticket};
+      if (channel == Channel::latest)
+        latest_.answer(net, next.ticket);
+      else if (channel == Channel::world)
+        world_answers_.answer(net, query, world);
+      else if (channel == Channel::piece)
+        answer_asset(net, query, hash, all_cars(world));
+      else
+        inbox.push_back(std::move(next));
+    }
   }
   std::move(samples_.begin(), samples_.end(), std::back_inserter(inbox));
   samples_.clear();

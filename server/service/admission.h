@@ -2,6 +2,7 @@
 // Queries wait in a queue. Each tick takes only as many as it has time for, so no sender can make a tick long.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -16,8 +17,11 @@
 
 namespace crumple {
 
-// Most queries that may wait. Further ones are refused.
+// Most queries that may wait in each line. Further ones are refused.
 inline constexpr uint32_t query_limit = 1'000;
+// Queries wait in three lines, so that one kind cannot hold up another: viewers may not command, and ask for a lot.
+enum class Line : uint8_t { commands, keyframes, reads };
+inline constexpr size_t line_count = 3;
 
 class Admission {
  public:
@@ -35,7 +39,7 @@ class Admission {
   void forget_hosts(Net*, const World&);
 
   const LatestInputs& latest() const { return latest_; }
-  size_t waiting() const { return queries_.size(); }
+  size_t waiting() const;  // queries, in all lines
   uint64_t keys_refused() const { return keys_refused_; }
   uint64_t queries_refused() const { return queries_refused_; }
 
@@ -55,7 +59,7 @@ class Admission {
   const std::vector<std::shared_ptr<const Car>>& cars_;
   std::vector<std::string> known_;  // ids of the hosts that had something in the scene a second ago
   size_t newcomers_ = 0;            // samples of all other hosts in this second
-  std::deque<Query> queries_;
+  std::array<std::deque<Query>, line_count> lines_;
   size_t queries_bytes_ = 0;
   uint64_t queries_refused_ = 0, keys_refused_ = 0;
   Inbox samples_;

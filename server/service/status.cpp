@@ -24,7 +24,7 @@ Message health_report(World& world, uint64_t late, Net* net, const Admission& ad
                  {"oversized", stats.oversized},
                  {"keys_refused", admission.keys_refused()},
                  {"frames_refused", stats.frames_refused},
-                 {"queries_waiting", admission.waiting(), query_limit},
+                 {"queries_waiting", admission.waiting(), line_count * query_limit},
                  {"queries_refused", stats.queries_refused + admission.queries_refused()},
                  {"recording_lost", recording ? recording->lost() : 0}});
 }

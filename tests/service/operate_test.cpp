@@ -583,6 +583,38 @@ TEST_F(Operate, CarsThatCameAndWentLeaveNothingBehind) {
 
 // ---- what a tick takes ------------------------------------------------------------------------------------------------------
 
+// Viewers may ask for baked cars and keyframes, also where they may not command.
+TEST_F(Operate, AFloodOfQuestionsHoldsUpNoCommand) {
+  start_server("");
+  Crumple* host = open("tester");
+  ASSERT_NE(host, nullptr);
+  spawn(host);
+  const Session net = open_raw();
+  constexpr int asked = 4000;
+  for (const char* key : {"crumple/1/asset/0000000000000000", "crumple/1/main/car/none/key/0"}) {
+    int ended = 0, refused = 0;
+    for (int i = 0; i < asked; ++i) {
+      uint64_t ticket = 0;
+      ASSERT_EQ(net_get(net.get(), key, nullptr, 0, 60'000, &ticket), 0) << transport_error();
+    }
+    for (int i = 0; i < 20; ++i) {
+      uint64_t ticket = 0;
+      ASSERT_EQ(crumple_save(host, "box", &ticket), CRUMPLE_OK);
+      CrumpleAnswer answer{};
+      ASSERT_EQ(crumple_wait(host, ticket, &answer), CRUMPLE_OK) << key;
+      EXPECT_TRUE(answer.ok) << key << ": " << answer.sentence;
+    }
+    const auto see = [&](const NetEvent& event) {
+      ended += event.kind == NET_REPLY_END;
+      refused += event.kind == NET_REPLY &&
+                 std::string_view(reinterpret_cast<const char*>(event.data), event.size).find("too many questions wait") !=
+                     std::string_view::npos;
+    };
+    EXPECT_TRUE(until_raw(net, see, [&] { return ended == asked; })) << ended;
+    EXPECT_GT(refused, 0) << key << ": the line was never full";
+  }
+}
+
 TEST_F(Operate, NoSenderMakesATickLong) {
   start_server(path("flood.mcap"));
   Crumple* host = open("tester");
