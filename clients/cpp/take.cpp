@@ -35,6 +35,8 @@ void take_surface(Crumple& session, const SurfaceNews& news, size_t size) {
   const Surface& surface = news.car->surface;
   switch (news.outcome.applied) {
     case Applied::whole: {
+      if (session.shown.size() > session.following.cars.size())  // `following` has forgotten some
+        std::erase_if(session.shown, [&](const auto& each) { return !session.following.cars.contains(each.first); });
       ShownCar& shown = session.shown[*news.id];
       shown.dirty = true;
       if (!news.asked_for) session.clock.take(surface.tick);

@@ -52,11 +52,25 @@ void begin_anew(Following& all, FollowedCar& car) {
   forget_question(all, car);
 }
 
+// Forgets the car without a token that has been silent longest, so that a scene may use new ids for ever. False if all cars
+// have tokens.
+bool forget_one(Following& all) {
+  auto oldest = all.cars.end();
+  for (auto at = all.cars.begin(); at != all.cars.end(); ++at) {
+    if (at->second.alive || at->second.named) continue;
+    if (oldest == all.cars.end() || at->second.last < oldest->second.last) oldest = at;
+  }
+  if (oldest == all.cars.end()) return false;
+  forget_question(all, oldest->second);
+  all.cars.erase(oldest);
+  return true;
+}
+
 // Returns the car with this id if the viewer follows it. A viewer that follows all cars adds it.
 Entry* followed(Following& all, std::string_view id) {
   auto at = all.cars.find(id);
   if (at == all.cars.end()) {
-    if (all.level == none || all.cars.size() >= cars_limit) return nullptr;
+    if (all.level == none || (all.cars.size() >= cars_limit && !forget_one(all))) return nullptr;
     at = all.cars.try_emplace(std::string(id)).first;
     at->second.level = all.level;
   }
@@ -112,6 +126,7 @@ void renew_due(Following& all, Time now) {
 
 void Following::follow(const std::string& id, int wanted, Time now) {
   FollowedCar& car = cars.try_emplace(id).first->second;
+  car.named = true;
   change_level(*this, id, car, wanted, now);
   ask_for_keyframe(*this, id, car, now);  // even before its token comes
 }

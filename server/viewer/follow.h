@@ -26,7 +26,7 @@ inline constexpr std::chrono::milliseconds silence{500};
 // A message that the server sent less than this before a health message may still be on its way.
 inline constexpr std::chrono::milliseconds on_its_way{100};
 // Anyone who may publish can invent cars, so a viewer that follows all cars follows at most this many: as many as four scenes
-// have.
+// have. Beyond it the viewer forgets cars without tokens, the longest silent first.
 inline constexpr size_t cars_limit = 4'096;
 // They also make each viewer ask for cars that are not there: eight viewers and 4,000 invented cars deafened a router for 26 s.
 // So a viewer waits for the answers to at most this many questions, and asks less and less often for a keyframe that does not
@@ -45,6 +45,7 @@ struct FollowedCar {
   Surface surface;
   Surface coming;  // while `fresh`: the received parts of the surface that will replace `surface`
   int level = 0;
+  bool named = false;     // the viewer follows it by its id
   bool alive = false;     // the car has its token
   bool gone = false;      // the car had its token and lost it; a keyframe may come before a token
   bool unsure = false;    // a message came after the viewer last asked for a keyframe

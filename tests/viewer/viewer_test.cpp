@@ -315,6 +315,21 @@ TEST(Viewer, FollowsNoMoreCarsThanItsLimit) {
   EXPECT_TRUE(other.all.cars.empty()) << "nobody follows it";
 }
 
+TEST(Viewer, FollowsNewCarsForEverAndForgetsThoseThatAreGone) {
+  Follower one;
+  one.all.follow("named", 0, one.now);
+  one.all.take_token(*parse_key("car/named"), true, one.now);
+  one.all.take_token(*parse_key("car/named"), false, one.now);
+  for (size_t k = 0; k < 3 * viewer::cars_limit; ++k) {
+    const std::string id = std::to_string(k), key = "car/" + id;
+    one.all.take_token(*parse_key(key), true, one.now);
+    ASSERT_TRUE(one.all.cars.contains(id)) << id;
+    one.all.take_token(*parse_key(key), false, one.now);
+  }
+  EXPECT_EQ(one.all.cars.size(), viewer::cars_limit);
+  EXPECT_TRUE(one.all.cars.contains("named"));
+}
+
 TEST(Viewer, SaysWhichMessagesOthersNeed) {
   Follower one;
   one.settle();
