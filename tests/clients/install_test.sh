@@ -16,7 +16,7 @@ find_package(crumple_client 0.1 REQUIRED)
 add_executable(game ${EXAMPLE})
 target_link_libraries(game PRIVATE crumple::crumple_client)
 GAME
-cmake -S "$folder/game" -B "$folder/game/build" -DEXAMPLE="$source/clients/cpp/examples/viewer.cpp" \
+cmake -G Ninja -S "$folder/game" -B "$folder/game/build" -DEXAMPLE="$source/clients/cpp/examples/viewer.cpp" \
   -DCMAKE_PREFIX_PATH="$folder/installed" >"$folder/log" 2>&1 && cmake --build "$folder/game/build" >>"$folder/log" 2>&1 ||
   { cat "$folder/log"; exit 1; }
 said=$("$folder/game/build/game" 2>&1) && { echo "the example needs arguments, and ended with 0: $said"; exit 1; }
