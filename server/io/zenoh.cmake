@@ -1,7 +1,8 @@
-# Two of zenoh's crates with zenoh.patch, fetched by name from wherever this machine's cargo fetches. CMakeLists.txt runs this
+# Three of zenoh's crates with zenoh.patch, fetched by name from wherever this machine's cargo fetches. CMakeLists.txt runs this
 # with CARGO, PATCH, HERE (this folder) and INTO (where they go: a folder of this patch's own, so that no builds meet there).
 set(checksums # of the crates as they are published; a crate from a path has none in Cargo.lock
   zenoh-1.10.2 946b0c49f30d9d5a29c13d9fe258ca2f14e9457018d145b9392df3bc49f84baa
+  zenoh-link-tls-1.10.2 c68bd5c4869ca5ff15e5e87602aa02b576b6317bfad9e047cecddac9da834b04
   zenoh-transport-1.10.2 b652b7a1a79d23b601920b425747d60c4838f44d64151bf77a963f7508de739b)
 
 # Its name says what is in it. Made anew, it would be newer than what cargo built of it.
@@ -9,7 +10,7 @@ if(EXISTS "${INTO}/Cargo.toml")
   return()
 endif()
 
-# Without the patch cargo takes both from the registry again, and the rest as Cargo.lock has it.
+# Without the patch cargo takes them from the registry again, and the rest as Cargo.lock has it.
 string(RANDOM LENGTH 8 mine)
 set(work "${INTO}.${mine}")
 file(COPY "${HERE}/Cargo.toml" "${HERE}/Cargo.lock" DESTINATION "${work}")

@@ -9,6 +9,7 @@
 #include <regex>
 #include <sstream>
 
+#include "heard.h"
 #include "host.h"
 #include "io/mcap.h"
 #include "io/net.h"
@@ -362,6 +363,31 @@ TEST_F(Routed, AStandbyFetchesAWorldOfAThousandCars) {
   const auto standby = serve("standby.mcap", {"--standby"});
   EXPECT_TRUE(standby->read_until("holds the world")) << standby->text;
   EXPECT_NE(standby->text.find("1000 cars"), std::string::npos) << standby->text;
+}
+
+TEST_F(Routed, APlayerWhoAsksWithFiftyMegabytesDeafensNobody) {
+  const Session router = route();
+  const auto join = [&](const char* name, const char* password) {
+    Net* opened = nullptr;
+    EXPECT_EQ(net_open("client", nullptr, endpoint.c_str(), user(name, password).c_str(), 10'000, &opened), 0)
+        << transport_error();
+    return Session(opened);
+  };
+  const Session owner = join("server", "serve-1"), host = join("game", "dent-1"), player = join("player", "look-1");
+  ASSERT_EQ(net_queryable(owner.get(), "crumple/1/main/car/*/key/*", 100, NET_LONGEST), 0);
+  ASSERT_EQ(net_subscribe(owner.get(), heard_key, 1000, NET_LONGEST), 0);
+  const std::string long_one(50 << 20, 'x');
+  std::chrono::duration<double> longest{};
+  uint64_t ticket = 0;
+  for (uint64_t said = 1; said < 300; ++said) {
+    if (said == 50) {
+      EXPECT_EQ(net_get(player.get(), "crumple/1/main/car/x/key/0", long_one.data(), long_one.size(), 5'000, &ticket), 0);
+    }
+    longest = std::max(longest, until_heard(host.get(), owner.get(), said, patience));
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  EXPECT_LT(longest.count(), 1) << "a host was unheard";
+  std::printf("a host was unheard for %.3f s at most\n", longest.count());
 }
 
 TEST_F(Routed, OnlyServersOwnAScene) {

@@ -44,9 +44,8 @@ typedef struct CrumpleOptions {
 } CrumpleOptions;
 
 // Waits until the session sees the server of the scene, for at most timeout_ms. The first session of a process sets
-// RUST_MIN_STACK in the environment if it is not set (32 MiB of address space for each thread). The first session over TLS also
-// sets ZENOH_RUNTIME, because zenoh breaks such a link otherwise. No other thread may read the environment during these calls,
-// and the first session over TLS must be the first session of the process.
+// RUST_MIN_STACK in the environment if it is not set (32 MiB of address space for each thread). No other thread may read the
+// environment during this call.
 int crumple_open(const CrumpleOptions*, Crumple** out);
 // Waits until the other end has received everything that the session sent, for at most 1 s. A closed session stays closed: no
 // other session ever gets its handle, and a second call does nothing.

@@ -121,9 +121,6 @@ pub struct Net {
 impl Net {
     pub fn open(mode: &str, listen: &[&str], connect: &[&str], overlay: Option<&str>, timeout_ms: u32) -> Result<Net, Fail> {
         let config = config::build(mode, listen, connect, overlay, timeout_ms)?;
-        if config.to_string().contains("\"tls/") {
-            one_thread_for_tls();
-        }
         let session = zenoh::open(config).wait().map_err(|e| {
             let (verb, ends, remedy) = match mode {
                 "client" => ("connect to", connect, "is a server running there?"),
@@ -336,20 +333,6 @@ fn reach_the_other_end(session: &Session) {
     if asked.is_ok() {
         _ = end.recv_timeout(LAST_WAIT);
     }
-}
-
-/// In zenoh 1.10 one thread may read a TLS stream while another writes to it, without a lock (zenoh's issue 2557). With traffic
-/// in both directions the link breaks ("handshake not complete": every tenth short session of tests/service/operate_test.cpp).
-/// On one thread reading and writing alternate. zenoh reads this setting once, before the process's first session. A value that
-/// the user has set stays.
-fn one_thread_for_tls() {
-    static ONCE: std::sync::Once = std::sync::Once::new();
-    ONCE.call_once(|| {
-        if std::env::var_os("ZENOH_RUNTIME").is_none() {
-            // SAFETY: as with setenv, no other thread may read the environment at this moment; crumple_client.h says so.
-            unsafe { std::env::set_var("ZENOH_RUNTIME", "(rx: (worker_threads: 1), tx: (handover: rx))") };
-        }
-    });
 }
 
 fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, Fail> {
