@@ -52,6 +52,21 @@ void begin_anew(Following& all, FollowedCar& car) {
   forget_question(all, car);
 }
 
+// Counts the bytes of the car's surfaces anew.
+void weigh(Following& all, FollowedCar& car) {
+  all.held -= std::exchange(car.held, 0);
+  for (const Surface* one : {&car.surface, &car.coming})
+    for (const Quanta* quanta : {&one->quanta, &one->key, &one->key_parts.quanta, &one->delta_parts.quanta})
+      car.held += quanta->size() * sizeof(int16_t);
+  all.held += car.held;
+}
+
+void erase(Following& all, Cars::iterator at) {
+  forget_question(all, at->second);
+  all.held -= at->second.held;
+  all.cars.erase(at);
+}
+
 // Forgets the car without a token that has been silent longest, so that a scene may use new ids for ever. False if all cars
 // have tokens.
 bool forget_one(Following& all) {
@@ -61,8 +76,7 @@ bool forget_one(Following& all) {
     if (oldest == all.cars.end() || at->second.last < oldest->second.last) oldest = at;
   }
   if (oldest == all.cars.end()) return false;
-  forget_question(all, oldest->second);
-  all.cars.erase(oldest);
+  erase(all, oldest);
   return true;
 }
 
@@ -93,6 +107,14 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
   if (asked_for) surface.key_parts = {};
   const uint64_t key_before = surface.key.empty() ? 0 : surface.key_tick;
   Outcome outcome = keyframe ? apply_keyframe(bytes, surface) : apply_delta(bytes, surface);
+  weigh(all, car);
+  if (all.held > surfaces_limit) {
+    car.surface = {};
+    begin_anew(all, car);
+    weigh(all, car);
+    outcome = {Applied::refused, "the surfaces of all followed cars would take over 1 GiB"};
+    return {&id, &car, std::move(outcome), asked_for, false};
+  }
   const Applied applied = outcome.applied;
   const bool other_key = !surface.key.empty() && surface.key_tick != key_before;
   car.unsure = !asked_for;
@@ -139,8 +161,7 @@ void Following::follow_all(int wanted, Time now) {
 void Following::forget(std::string_view id) {
   const auto at = cars.find(id);
   if (at == cars.end()) return;
-  forget_question(*this, at->second);
-  cars.erase(at);
+  erase(*this, at);
 }
 
 SurfaceNews Following::take_sample(const Key& key, std::span<const uint8_t> bytes, Time now) {

@@ -28,9 +28,12 @@ inline constexpr std::chrono::milliseconds on_its_way{100};
 // Anyone who may publish can invent cars, so a viewer that follows all cars follows at most this many: as many as four scenes
 // have. Beyond it the viewer forgets cars without tokens, the longest silent first.
 inline constexpr size_t cars_limit = 4'096;
-// They also make each viewer ask for cars that are not there: eight viewers and 4,000 invented cars deafened a router for 26 s.
-// So a viewer waits for the answers to at most this many questions, and asks less and less often for a keyframe that does not
-// come.
+// Bytes of all surfaces: the largest has 1.2 MB, and the viewer holds it four times at most. A forged part of 192 bytes can
+// state such a size. The car whose message would exceed the limit loses its surface.
+inline constexpr size_t surfaces_limit = size_t{1} << 30;
+// Invented cars also make each viewer ask for cars that are not there: eight viewers and 4,000 invented cars deafened a router
+// for 26 s. So a viewer waits for the answers to at most this many questions, and asks less and less often for a keyframe that
+// does not come.
 inline constexpr size_t questions_limit = 64;
 inline constexpr std::chrono::milliseconds longest_pause{8000};
 // The viewer believes another owner at once if the last one appeared longer ago.
@@ -56,6 +59,7 @@ struct FollowedCar {
   int tries = 0;          // questions since a keyframe came; the pause before the next one follows from them
   uint64_t asking = 0;    // ticket of the question for the keyframe; 0: none
   Time last{};            // when its last message came
+  size_t held = 0;        // bytes of its surfaces
 };
 
 // The effect of a keyframe or a delta.
@@ -72,13 +76,16 @@ struct Question {
   bool open = true;  // no answer has come, so the question takes a slot
 };
 
+using Cars = std::map<std::string, FollowedCar, std::less<>>;  // by id
+
 struct Following {
   std::string root;  // of the scene's keys
   Ask ask;
   int level = none;  // of all cars, present and future; none: the viewer follows only those in `cars`
-  std::map<std::string, FollowedCar, std::less<>> cars = {};
+  Cars cars = {};
   std::map<uint64_t, Question> questions = {};  // by ticket
   size_t open = 0;                              // number of open questions
+  size_t held = 0;                              // bytes of the surfaces of all cars
   Time renewed{};                               // when the viewer last asked for all keyframes again
   Time renew_at = Time::max();                  // when it will do so next
   std::chrono::milliseconds renew_pause{0};     // least time between two of these

@@ -315,6 +315,25 @@ TEST(Viewer, FollowsNoMoreCarsThanItsLimit) {
   EXPECT_TRUE(other.all.cars.empty()) << "nobody follows it";
 }
 
+TEST(Viewer, HoldsNoMoreBytesOfSurfacesThanItsLimit) {
+  Follower one;
+  one.settle();
+  const viewer::Quanta large(size_t{3} * surface_node_limit, 7);
+  const std::vector<Bytes> parts = encode_keyframe({9, "0123456789abcdef", 0.0005f}, large);
+  ASSERT_GT(parts.size(), 1u);
+  size_t refused = 0;
+  for (size_t k = 0; k < 1000; ++k) {
+    const Key key = *parse_key("car/" + std::to_string(k) + "/key/0");
+    refused += one.all.take_sample(key, raw(parts.front()), one.now).outcome.applied == Applied::refused;
+    ASSERT_LE(one.all.held, viewer::surfaces_limit);
+  }
+  EXPECT_EQ(refused, 1000 - (viewer::surfaces_limit - 2 * sizeof(int16_t) * 3 * nodes) / (large.size() * sizeof(int16_t)));
+  EXPECT_EQ(one.held(), 5u) << "the others keep theirs";
+  for (size_t k = 0; k < 1000; ++k) one.all.forget(std::to_string(k));
+  one.all.forget("a");
+  EXPECT_EQ(one.all.held, 0u);
+}
+
 TEST(Viewer, FollowsNewCarsForEverAndForgetsThoseThatAreGone) {
   Follower one;
   one.all.follow("named", 0, one.now);
