@@ -80,6 +80,7 @@ struct Parts {
   const Masses& masses;
   const Regions& regions;
   const SkinResult& skin;
+  std::span<const double> source_to_car;
 };
 
 std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options) {
@@ -103,11 +104,12 @@ std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options)
   const auto triangle = builder.CreateVector(parts.surface.triangle.data()->data(), 3 * parts.surface.triangle.size());
   const auto skin = structs<schema::Skin>(builder, parts.skin.skin);
   const auto region = builder.CreateVectorOfStrings(parts.regions.name);
+  const auto source_to_car = builder.CreateVector(parts.source_to_car.data(), parts.source_to_car.size());
   const schema::Vec3 center = stored(parts.masses.center), inertia = stored(parts.masses.inertia);
   schema::FinishCarBuffer(
       builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored, tet, gradients,
                                  tet_rest, tet_region, edge, edge_rest, node_first, corner, vertex, triangle, skin, region,
-                                 static_cast<float>(options.mass), &center, &inertia));
+                                 static_cast<float>(options.mass), &center, &inertia, source_to_car));
   const auto* bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {bytes, bytes + builder.GetSize()};
 }
@@ -140,7 +142,7 @@ void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions
 
 }  // namespace
 
-BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given) {
+BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given, std::span<const double> source_to_car) {
   BakeOptions options = given;
   if (options.mass == 0) options.mass = default_mass;
   BakeResult out;
@@ -151,7 +153,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given)
   const Regions regions = paint_regions(tets, surface, options.regions, options.input, out.report);
   const SkinResult skin = build_skin(tets, surface.vertex);
   check_fit(surface, skin, options);
-  const Parts parts{surface, tets, constraints, masses, regions, skin};
+  const Parts parts{surface, tets, constraints, masses, regions, skin, source_to_car};
   report_result(parts, out.report);
   out.car = read_car(serialise(parts, options), options.input);
   return out;
@@ -166,7 +168,8 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   TetMesh tets = options.tets.empty() ? make_tets(input, options.nodes, options.input, progress, report)
                                       : import_tets(options.tets, input.from_file, report);
   if (progress) progress("constraints, skin and regions");
-  BakeResult out = assemble_car(input.surface, std::move(tets), options);
+  const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> to_car = input.from_file.affine();
+  BakeResult out = assemble_car(input.surface, std::move(tets), options, {to_car.data(), 12});
   out.report.insert(out.report.begin(), report.begin(), report.end());
   return out;
 }
@@ -190,7 +193,7 @@ BakeResult rebake(const Car& car, BakeOptions options) {
   if (options.name.empty()) options.name = car.name;
   if (options.attribution.empty()) options.attribution = car.attribution;
   return assemble_car(std::move(surface), {{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}},
-                      options);
+                      options, car.source_to_car);
 }
 
 void write_car(const Car& car, const std::filesystem::path& file) {

@@ -5,6 +5,7 @@
 
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -38,8 +39,8 @@ struct BakeResult {
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 BakeResult bake(const BakeOptions&, const Progress&);
 
-// The steps after the tets. Tests and benchmarks call it.
-BakeResult assemble_car(Surface, TetMesh, const BakeOptions&);
+// The steps after the tets. source_to_car: as in Car. Tests and benchmarks call it.
+BakeResult assemble_car(Surface, TetMesh, const BakeOptions&, std::span<const double> source_to_car = {});
 
 bool is_baked_car(const std::filesystem::path& file);
 // Paints a baked car anew: surface, tets and skin stay; regions, anchors and everything that depends on them become what a bake

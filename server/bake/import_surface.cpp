@@ -386,4 +386,6 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
   return out;
 }
 
+std::vector<Eigen::Vector3d> read_vertices(const std::filesystem::path& file) { return read_file(file).position; }
+
 }  // namespace crumple

@@ -10,6 +10,7 @@
 
 #include "cli/bake_command.h"
 #include "cli/info.h"
+#include "cli/map.h"
 #include "cli/render.h"
 #include "cli/run_client.h"
 #include "gateway/view.h"
@@ -288,6 +289,24 @@ Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   return [&files] { return info(files); };
 }
 
+struct MapOptions {
+  std::string car, mesh;
+};
+
+Verb add_map(CLI::App& app, MapOptions& options) {
+  CLI::App& verb = *app.add_subcommand("map", "Says how well a mesh of a game fits a baked car whose dents it is to show");
+  verb.add_option("CAR", options.car, "baked car")->required()->check(is_file);
+  verb.add_option("MESH", options.mesh, "mesh file, in the coordinates of the file from which the car was baked")
+      ->required()
+      ->check(is_file);
+  verb.footer(
+      "A game maps its own vertices itself, with crumple_map of the client library. This verb shows beforehand whether another "
+      "level "
+      "of detail, or a mesh that was changed after the bake, will follow the dents.\n"
+      "Example: crumple map car.car car_lod1.glb");
+  return [&options] { return map_mesh(options.car, options.mesh); };
+}
+
 Verb add_recover(CLI::App& app, RecoverOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
@@ -330,6 +349,7 @@ int run(int argc, const char* const* argv) {
   ViewOptions view_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
+  MapOptions map_options;
   RecoverOptions recover_options;
   ExportOptions export_options;
 
@@ -352,6 +372,7 @@ int run(int argc, const char* const* argv) {
       add_view(app, view_options),
       add_replay(app, replay_options),
       add_info(app, info_files),
+      add_map(app, map_options),
       add_recover(app, recover_options),
       add_export(app, export_options),
       add_render(app)};

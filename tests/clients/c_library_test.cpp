@@ -39,7 +39,7 @@ const std::vector<Call>& calls() {
   static CrumpleObstacle obstacle{1, CRUMPLE_BOX, {1, 1, 1}, nullptr, 0, {{0, 0, 0}, {0, 0, 0, 1}}, {}, {}, 1};
   static CrumpleReaction reaction;
   static CrumpleSurface surface;
-  static CrumpleVertices vertices{nullptr, nullptr, nullptr, 12, 0, 0, 0, 0};
+  static CrumpleVertices vertices{nullptr, nullptr, nullptr, 12, 0, 0, 0, 0, 0, nullptr};
   static CrumpleMesh mesh;
   static CrumpleHealth health;
   static const char* ids[4];
@@ -205,7 +205,7 @@ TEST(CLibrary, RefusesCountsSizesAndStridesThatNothingCanHave) {
   refused(crumple_publish_obstacles(session, &hull, 1), "over 100000 points");
   ASSERT_EQ(crumple_follow(session, "c", 0), CRUMPLE_OK) << crumple_error();
   for (const size_t stride : {size_t{0}, size_t{13}, size_t{4100}, most - 11}) {
-    CrumpleVertices vertices{nullptr, nullptr, nullptr, stride, most, 0, 0, 0};
+    CrumpleVertices vertices{nullptr, nullptr, nullptr, stride, most, 0, 0, 0, 0, nullptr};
     refused(crumple_copy(session, "c", &vertices), "stride");
   }
   const std::string long_id(100'000, 'x');

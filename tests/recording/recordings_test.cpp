@@ -868,7 +868,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
   EXPECT_EQ(server->wait(), 0) << server->text;
   EXPECT_GT(deepest(host), 40);
   std::vector<float> seen(3 * size_t{mesh.vertex_count});  // m, car's frame
-  CrumpleVertices copied{nullptr, seen.data(), nullptr, 12, mesh.vertex_count, 0, 0, 0};
+  CrumpleVertices copied{nullptr, seen.data(), nullptr, 12, mesh.vertex_count, 0, 0, 0, 0, nullptr};
   ASSERT_EQ(crumple_copy(host, "box", &copied), CRUMPLE_OK);
   for (size_t i = 0; i < seen.size(); ++i) seen[i] += mesh.vertex[i];
 
@@ -972,7 +972,7 @@ TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
            crumple_mesh(viewer, surface.asset, &mesh) == CRUMPLE_OK;
   }));
   std::vector<float> moved(3 * size_t{mesh.vertex_count});
-  CrumpleVertices copied{nullptr, moved.data(), nullptr, 12, mesh.vertex_count, 0, 0, 0};
+  CrumpleVertices copied{nullptr, moved.data(), nullptr, 12, mesh.vertex_count, 0, 0, 0, 0, nullptr};
   ASSERT_EQ(crumple_copy(viewer, "car", &copied), CRUMPLE_OK);
 
   const Outcome outcome = run({"export", source, "-o", path("film")});

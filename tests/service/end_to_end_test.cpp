@@ -72,7 +72,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   ASSERT_EQ(surface.node_count, baked->skin_node.size());
   EXPECT_STREQ(mesh.attribution, "made by the tests");
   std::vector<float> strided(8 * size_t{mesh.vertex_count}, -1.0f);
-  CrumpleVertices copied{nullptr, strided.data(), nullptr, 32, mesh.vertex_count, 0, 0, 0};
+  CrumpleVertices copied{nullptr, strided.data(), nullptr, 32, mesh.vertex_count, 0, 0, 0, 0, nullptr};
   ASSERT_EQ(crumple_copy(late, "box", &copied), CRUMPLE_OK);
   for (uint32_t v = 0; v < mesh.vertex_count; ++v) {
     float expected = 0;  // of z, in m
