@@ -88,7 +88,7 @@ void take_asset(Crumple& session, AssetNews news) {
 using namespace crumple::client;
 
 int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* out) {
-  if (!crumple::is_hash(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+  if (!crumple::is_hash(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "asset is not a hash: give 16 hexadecimal digits");
   Asset& asset = session->assets[hash];
   if (asset.whole) {
     *out = asset.mesh;
@@ -97,7 +97,8 @@ int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* ou
   if (!asset.trouble.empty()) {
     return fail(CRUMPLE_NO_ANSWER, std::exchange(asset.trouble, {}));
   }
-  if (!session->net) return fail(CRUMPLE_UNKNOWN, "asset " + std::string(hash) + " was not given: crumple_add_asset");
+  if (!session->net)
+    return fail(CRUMPLE_UNKNOWN, "asset " + std::string(hash) + " is not in this session: give it to crumple_add_asset");
   return session->fetching.want(hash, Clock::now()) ? CRUMPLE_PENDING : fail(CRUMPLE_NO_ANSWER, transport_error());
 }
 

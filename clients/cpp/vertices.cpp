@@ -137,7 +137,7 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
   return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
     const auto at = session->following.cars.find(id);
     if (at == session->following.cars.end())
-      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: call crumple_follow");
     if (out->stride < 12 || out->stride % 4 != 0 || out->stride > stride_limit)
       return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4 from 12 to 4096");
     const FollowedCar& car = at->second;
@@ -152,7 +152,7 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
     const Asset& asset = session->assets.at(surface.asset);
     if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
       return fail(CRUMPLE_NO_ANSWER,
-                  "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
+                  "the surface of car " + std::string(id) + " and the skin of its asset have different numbers of nodes");
 
     const OwnMesh* own = out->mapping ? &session->own[out->mapping - 1] : nullptr;
     if (own && own->asset != surface.asset)

@@ -229,10 +229,10 @@ Flattened read_file(const std::filesystem::path& file) {
     refuse(name, "it takes longer than " + std::to_string(reader_seconds) + " s to read; join its parts into one mesh.");
   Flattened out;
   if (!text.starts_with("+") || !unpacked(std::string_view(text).substr(1), out))
-    refuse(
-        name,
-        std::string("its reader broke down (") + (WIFSIGNALED(status) ? strsignal(WTERMSIG(status)) : "Assimp") +
-            "), as where nodes are nested thousands deep; join its parts into one mesh, or export it as OBJ, GLB, STL or PLY.");
+    refuse(name, std::string("the program that reads it broke down (") +
+                     (WIFSIGNALED(status) ? strsignal(WTERMSIG(status)) : "Assimp") +
+                     "), perhaps because its nodes are nested thousands deep; join its parts into one mesh, or export it as "
+                     "OBJ, GLB, STL or PLY.");
   return out;
 }
 
@@ -295,7 +295,7 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
   const std::string size =
       text_of(box.sizes().x()) + " x " + text_of(box.sizes().y()) + " x " + text_of(box.sizes().z()) + " m";
   if (longest < shortest_car || longest > longest_car)
-    refuse(name, "it measures " + size + ", and no car's longest side lies outside " + text_of(shortest_car) + " to " +
+    refuse(name, "it measures " + size + ", but the longest side of a car must be from " + text_of(shortest_car) + " to " +
                      text_of(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
                      text_of(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");

@@ -41,8 +41,9 @@ const CLI::Validator id(
 const CLI::Validator scene(
     [](std::string& text) -> std::string {
       if (is_scene(text)) return "";
-      return is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
-                         : "\"" + text + "\" is not an id: use " + id_rule;
+      return is_id(text)
+                 ? "\"" + text + "\" cannot name a scene, because the keys of baked cars begin with it; give another name"
+                 : "\"" + text + "\" is not an id: use " + id_rule;
     },
     "ID");
 
@@ -253,7 +254,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       "crumple view before.mcap after.mcap");
   verb.callback([speed, &options] {
     if (options.files.size() > 1 && !speed->empty())
-      throw CLI::ValidationError("--speed", "is of one recording; beside two the page has a choice of its own");
+      throw CLI::ValidationError("--speed", "applies to one recording only; with two, choose the speed on the page");
   });
   return [&options] { return view(options, stop); };
 }

@@ -174,8 +174,8 @@ class TheVerb(unittest.TestCase):
     def test_what_goes_wrong_is_told_in_one_sentence(self):
         cut = self.folder / "cut.mcap"
         cut.write_bytes(POLE.read_bytes()[:400_000])
-        for code, part, *arguments in ((1, "cut.mcap: not a whole recording of crumple; if it was cut off: crumple recover", cut),
-                                       (1, "no.mcap: No such file", "no.mcap"), (1, "no car x in it; it has: car", POLE, "--cars", "x"),
+        for code, part, *arguments in ((1, "cut.mcap: this is not a whole recording of crumple; if it was cut off, run crumple recover", cut),
+                                       (1, "no.mcap: No such file", "no.mcap"), (1, "it has no car x; its cars are: car", POLE, "--cars", "x"),
                                        (1, f"it lasts from 0.02 to {told('([0-9]+) ticks') / 60:.2f} s", POLE, "--from", "9"), (2, "--size", POLE, "--size", "9"),
                                        (1, "cut.mcap", POLE, "-o", cut, "--size", "64x64", "--sheet")):
             done = self.render(*arguments)

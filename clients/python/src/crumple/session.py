@@ -108,7 +108,7 @@ class View:
         stride = out.position.strides[0]
         for array in arrays:
             if array is None or array.shape != shape or array.dtype != np.float32 or array.strides != (stride, 4):
-                raise ValueError(f"not an array of float32 of {shape[0]} x 3 with the strides of the others")
+                raise ValueError(f"an array of `out` is not {shape[0]} x 3 of float32, or its strides differ from those of the others")
             if not array.flags.writeable:
                 raise ValueError("an array of `out` is read-only")
         places = [ffi.cast("float*", array.ctypes.data) for array in arrays]
@@ -195,7 +195,7 @@ class Session(View):
         deadline = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"not so within {timeout:g} s")
+                raise TimeoutError(f"the condition did not become true within {timeout:g} s")
             self.poll(0.1)
         return value
 
