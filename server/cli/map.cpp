@@ -32,10 +32,10 @@ std::vector<viewer::Point> placed(const std::vector<Eigen::Vector3d>& vertices, 
 
 int map_mesh(const std::string& car_file, const std::string& mesh_file) {
   const auto car = load_car(car_file);
-  if (car->source_to_car.empty())
-    throw std::runtime_error(car_file + ": it does not say where its source's coordinates are; bake it again from its source.");
   const std::vector<Eigen::Vector3d> vertices = read_vertices(mesh_file);
   if (vertices.empty()) throw std::runtime_error(mesh_file + ": it has no vertices; export the mesh again.");
+  if (car->source_to_car.empty())
+    throw std::runtime_error(car_file + ": it does not say where its source's coordinates are; bake it again from its source.");
 
   const Model& model = car->model;
   static_assert(sizeof(viewer::Point) == sizeof(Vec3) && sizeof(viewer::Corners) == 3 * sizeof(uint32_t));
