@@ -63,6 +63,14 @@ std::string default_attribution(const std::string& input) {
   return is_built_in(input) ? "built-in car of the crumple project, Apache-2.0" : "not stated";
 }
 
+// Of several parts or open edges fTetWild drops parts, takes minutes, or leaves the car hollow.
+Mesher choose_mesher(const ImportedSurface& input, const BakeOptions& options, std::vector<std::string>& report) {
+  if (options.mesher) return *options.mesher;
+  if (input.parts == 1 && input.open_edges == 0) return Mesher::ftetwild;
+  report.push_back("the lattice makes the tets, because the surface is not one closed part");
+  return Mesher::lattice;
+}
+
 // ---- output ------------------------------------------------------------------------------------------------------------
 
 template <class Theirs, class Ours>
@@ -164,9 +172,13 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   if (is_baked_car(options.input)) return rebake(*load_car(options.input), options);
   const ImportedSurface input = read_surface(options);
   std::vector<std::string> report = input.report;
-  const auto make_tets = options.mesher == Mesher::lattice ? fill_with_tets : tetrahedralise;
-  TetMesh tets = options.tets.empty() ? make_tets(input, options.nodes, options.input, progress, report)
-                                      : import_tets(options.tets, input.from_file, report);
+  TetMesh tets;
+  if (!options.tets.empty())
+    tets = import_tets(options.tets, input.from_file, report);
+  else if (choose_mesher(input, options, report) == Mesher::lattice)
+    tets = fill_with_tets(input, options.nodes, options.input, progress, report);
+  else
+    tets = tetrahedralise(input, options.nodes, options.input, progress, report);
   if (progress) progress("constraints, skin and regions");
   const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> to_car = input.from_file.affine();
   BakeResult out = assemble_car(input.surface, std::move(tets), options, {to_car.data(), 12});

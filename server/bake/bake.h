@@ -21,7 +21,7 @@ enum class Mesher { lattice, ftetwild };
 struct BakeOptions {
   std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
   size_t nodes = 2'500;                // wanted nodes, reached within 5 % by the lattice, within 15 % by fTetWild
-  Mesher mesher = Mesher::ftetwild;    // makes the tets (make_tets.h)
+  std::optional<Mesher> mesher;        // makes the tets (make_tets.h); none: fTetWild of a closed part, else the lattice
   std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: the mesher makes them
   std::optional<RegionsText> regions;  // none: the default safety cell
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass

@@ -124,7 +124,7 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
                   "what makes the tets. lattice: for any surface, open, in many parts or with faces turned; it fills the car, "
                   "keeps every part, takes seconds, and gives the same file each time. ftetwild: for a closed surface in one "
                   "part, which its tets follow more closely; of an open one it may take minutes, drop parts, or leave the car "
-                  "hollow. Default: ftetwild")
+                  "hollow. Default: ftetwild for a closed surface in one part, else lattice")
       ->check(CLI::IsMember({"lattice", "ftetwild"}));
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")

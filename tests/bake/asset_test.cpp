@@ -794,6 +794,22 @@ TEST(Bake, SaysWhereACarCannotBeWritten) {
   expect_sentence(refusal([] { write_car(*box_car(), "/nowhere/at/all.car"); }), "all.car", "cannot be written");
 }
 
+TEST(Bake, ChoosesTheMesherByTheSurface) {
+  const Files files;
+  const auto report_of = [&](const Surface& surface) {
+    BakeOptions options;
+    options.input = files.write("body.obj", as_obj(surface));
+    options.nodes = 150;
+    std::string report;
+    for (const std::string& line : bake(options, {}).report) report += line + "\n";
+    return report;
+  };
+  Surface box = box_surface({3, 2, 1});
+  EXPECT_EQ(report_of(box).find("lattice"), std::string::npos);
+  box.triangle.pop_back();
+  EXPECT_NE(report_of(box).find("the lattice makes the tets"), std::string::npos) << "it has a hole";
+}
+
 // ---- meshes of a game ----------------------------------------------------------------------------------------------------
 
 TEST(Map, SaysHowWellAMeshFitsTheCarThatWasBakedFromItsFile) {
