@@ -4,6 +4,7 @@
 //   node tests/gateway/web_test.mjs compare PROGRAM CAR WEB     two recordings side by side: difference and strain match their exported surfaces
 //   node tests/gateway/web_test.mjs repaint PROGRAM CAR WEB     a car that is repainted many times is shown, and its earlier versions are dropped
 //   node tests/gateway/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
+//   node tests/gateway/web_test.mjs model PROGRAM CAR WEB       a model of the user's shows the dents of the car that was baked from it; 77: no Chromium
 //   node tests/gateway/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
 //   node tests/gateway/web_test.mjs keep PROGRAM CAR WEB        writes tests/gateway/web_page.png again; look at the picture
 // WEB: the folder build/web.
@@ -21,7 +22,7 @@ import { zstdCompressSync } from "node:zlib";
 const patience = 90_000; // ms, for a machine under load with sanitizers on
 const here = fileURLToPath(new URL(".", import.meta.url));
 const mode = process.argv[2], [program, car, web] = process.argv.slice(3).map((path) => resolve(path));
-const { Control, digits, Film, hashOf, Live, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
+const { Control, digits, Film, hashOf, Live, readCar, Surface } = await import(pathToFileURL(resolve(web, "dist/index.js")));
 
 async function until(what, condition) {
   for (const end = Date.now() + patience; Date.now() < end; await new Promise((wait) => setTimeout(wait, 20))) {
@@ -894,13 +895,120 @@ async function compare(pictures) {
   return { mean: sum / (a.data.length / 4), far: far / (a.data.length / 4) };
 }
 
+// A model as a game has it: in the source's coordinates under a node that is turned, scaled and moved, in centimetres, and each triangle
+// with vertices of its own. Returns its vertices in the node's coordinates, the baked vertex of each, and the bytes of a GLB.
+function modelOf(baked, THREE, moved) {
+  const m = baked.sourceToCar, toCar = new THREE.Matrix4().set(...m, 0, 0, 0, 1);
+  const node = new THREE.Matrix4().compose(new THREE.Vector3(1, 2, 3), new THREE.Quaternion(0.5, -0.5, 0.5, 0.5), new THREE.Vector3(0.01, 0.01, 0.01));
+  const placed = node.clone().setPosition(1 + moved, 2, 3); // moved: m, out of place
+  const inside = toCar.clone().multiply(node).invert(), { triangle, vertex } = baked, v = new THREE.Vector3();
+  const position = new Float32Array(3 * triangle.length), normal = new Float32Array(3 * triangle.length);
+  triangle.forEach((from, i) => v.fromArray(vertex, 3 * from).applyMatrix4(inside).toArray(position, 3 * i));
+  for (let i = 0; i < triangle.length; i += 3) {
+    const [a, b, c] = [0, 1, 2].map((k) => new THREE.Vector3().fromArray(position, 3 * (i + k)));
+    const flat = b.sub(a).cross(c.sub(a)).normalize();
+    for (let k = 0; k < 3; ++k) flat.toArray(normal, 3 * (i + k));
+  }
+  const bounds = [0, 1, 2].map((axis) => position.filter((_, i) => i % 3 === axis)).map((list) => [Math.min(...list), Math.max(...list)]);
+  const bytes = position.byteLength, accessor = { componentType: 5126, count: triangle.length, type: "VEC3" };
+  const json = JSON.stringify({
+    asset: { version: "2.0" }, scene: 0, scenes: [{ nodes: [0] }], nodes: [{ matrix: placed.elements, mesh: 0 }],
+    meshes: [{ primitives: [{ attributes: { POSITION: 0, NORMAL: 1 }, material: 0 }] }],
+    materials: [{ pbrMetallicRoughness: { baseColorFactor: [0, 1, 0, 1], metallicFactor: 0 }, emissiveFactor: [0, 1, 0] }],
+    accessors: [{ ...accessor, bufferView: 0, min: bounds.map(([low]) => low), max: bounds.map(([, high]) => high) }, { ...accessor, bufferView: 1 }],
+    bufferViews: [0, bytes].map((byteOffset) => ({ buffer: 0, byteOffset, byteLength: bytes })), buffers: [{ byteLength: 2 * bytes }],
+  });
+  const head = Buffer.from(json.padEnd(4 * Math.ceil(json.length / 4))), words = (...list) => Buffer.from(Uint32Array.from(list).buffer);
+  const glb = Buffer.concat([words(0x46546c67, 2, 28 + head.length + 2 * bytes, head.length, 0x4e4f534a), head, words(2 * bytes, 0x004e4942),
+    Buffer.from(position.buffer), Buffer.from(normal.buffer)]);
+  return { position, normal, inside, glb };
+}
+
+// Positions must be those of the baked vertices, and normals those of the flat triangles.
+async function checkOwnModel(baked, THREE) {
+  const { OwnModel } = await import(pathToFileURL(resolve(web, "dist/three.js")));
+  const { position, normal, inside } = modelOf(baked, THREE, 0);
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
+  geometry.setAttribute("normal", new THREE.BufferAttribute(normal, 3));
+  const mesh = new THREE.Mesh(geometry), toCar = new THREE.Matrix4().set(...baked.sourceToCar, 0, 0, 0, 1);
+  mesh.applyMatrix4(toCar.clone().invert().multiply(inside.clone().invert()));
+  const own = new OwnModel(baked, new THREE.Group().add(mesh)), v = new THREE.Vector3();
+  assert.equal(own.onVertices, baked.triangle.length);
+  const skinned = baked.vertex.map((x, i) => (i % 3 ? x : x + 0.2 * baked.vertex[i + 2])); // sheared
+  own.update(skinned);
+  const now = mesh.geometry.attributes;
+  let worst = 0, turned = 0;
+  for (let i = 0; i < baked.triangle.length; i += 3) {
+    const corner = [0, 1, 2].map((k) => new THREE.Vector3().fromArray(skinned, 3 * baked.triangle[i + k]).applyMatrix4(inside));
+    corner.forEach((wanted, k) => (worst = Math.max(worst, v.fromBufferAttribute(now.position, i + k).distanceTo(wanted))));
+    const flat = corner[1].clone().sub(corner[0]).cross(corner[2].clone().sub(corner[0])).normalize();
+    for (let k = 0; k < 3; ++k) turned += v.fromBufferAttribute(now.normal, i + k).dot(flat) / baked.triangle.length;
+  }
+  assert.ok(worst < 0.01, `${worst} cm from where the baked vertex is`);
+  assert.ok(turned > 0.998, `normals and triangles agree by ${turned} on average`);
+  own.update(baked.vertex);
+  assert.ok(now.position.array.every((x, i) => x === position[i]), "at rest it has its own numbers");
+}
+
+async function model(path) {
+  const THREE = await import(pathToFileURL(resolve(web, "node_modules/three/build/three.module.js"))); // the one that dist/three.js uses
+  const bytes = new Uint8Array(readFileSync(car)), baked = readCar(bytes, digits(hashOf(bytes)));
+  assert.ok(baked.sourceToCar, `${car} is from an older program: remove it`);
+  await checkOwnModel(baked, THREE);
+
+  const folder = mkdtempSync(resolve(tmpdir(), "crumple_model_"));
+  const fits = resolve(folder, "fits.glb"), other = resolve(folder, "other.glb");
+  writeFileSync(fits, modelOf(baked, THREE, 0).glb);
+  writeFileSync(other, modelOf(baked, THREE, 1.5).glb);
+  const server = start("serve", "--car", car, "--listen", "tcp/127.0.0.1:0", "--scene", "model");
+  const options = ["--connect", await said(server, /at (tcp\S+),/), "--scene", "model"];
+  const url = await address(view(...options, "--listen", "127.0.0.1:0"));
+  const { browser, opened } = await openPage(path, url, { viewport: { width: 560, height: 320 } });
+  assert.equal(await start("drive", resolve(here, "../../clients/scenes/pole.json"), "--car", car, ...options, "--id", "dented", "--leave").ended, 0);
+  await opened.waitForFunction(() => window.crumple.shown.get("dented")?.mesh?.deepest > 0.1);
+  const refused = opened.waitForEvent("dialog");
+  const choosing = opened.setInputFiles("#file", other);
+  const dialog = await refused;
+  assert.match(dialog.message(), /other.glb cannot be shown: the model is not built-in/);
+  await dialog.accept();
+  await choosing;
+  await opened.setInputFiles("#file", fits);
+  await opened.waitForFunction(() => window.crumple.shown.get("dented").own);
+  const shown = await opened.evaluate(() => {
+    const { own, mesh } = window.crumple.shown.get("dented");
+    return { all: own.vertices === own.onVertices, own: own.visible, mesh: mesh.visible };
+  });
+  assert.deepEqual(shown, { all: true, own: true, mesh: false });
+  const green = async () => (await pixels(opened)).filter(([r, g, b]) => g > 200 && r < 120 && b < 120).length;
+  assert.ok((await green()) > 300, "the model is not drawn in its own material");
+  await opened.keyboard.press("c"); // colours show the baked surface
+  await opened.waitForFunction(() => !window.crumple.shown.get("dented").own.visible && window.crumple.shown.get("dented").mesh.visible);
+  await browser.close();
+  rmSync(folder, { recursive: true });
+}
+
+// The pixels of the page's own small picture: red, green, blue.
+async function pixels(opened) {
+  return opened.evaluate(async () => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${window.crumple.picture()}`;
+    await image.decode();
+    const pen = new OffscreenCanvas(image.width, image.height).getContext("2d");
+    pen.drawImage(image, 0, 0);
+    const { data } = pen.getImageData(0, 0, image.width, image.height), out = [];
+    for (let i = 0; i < data.length; i += 4) out.push([data[i], data[i + 1], data[i + 2]]);
+    return out;
+  });
+}
+
 let code = 1;
 try {
   const path = chromium();
   if (mode === "client") await client();
   else if (mode === "repaint") await repaint();
   else if (!path) console.log("skipped: there is no Chromium; apt-get install chromium-headless-shell (tests/run does)");
-  else await ({ compare: comparison, control, manual }[mode] ?? page)(path, mode === "keep");
+  else await ({ compare: comparison, control, model, manual }[mode] ?? page)(path, mode === "keep");
   code = mode === "client" || mode === "repaint" || path ? 0 : 77;
 } catch (error) {
   console.error(error);

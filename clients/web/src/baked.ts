@@ -17,6 +17,8 @@ export interface BakedCar {
   vertex: Float32Array;
   /** 3 vertices for each triangle. */
   triangle: Uint32Array;
+  /** Rows of the 3 x 4 matrix from the coordinates of the file from which the car was baked to the car's frame; null: not known. */
+  sourceToCar: Float64Array | null;
   /** How many nodes the skin uses. Keyframes and deltas have these nodes, in this order. */
   nodes: number;
   /** Four nodes for each vertex, numbered as in keyframes and deltas, and their weights. */
@@ -44,6 +46,7 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
     name: car.name() ?? "", attribution: car.attribution() ?? "", mass: car.mass(),
     centerOfMass: center ? [center.x(), center.y(), center.z()] : [0, 0, 0],
     regions: Array.from({ length: car.regionLength() }, (_, i) => car.region(i)),
+    sourceToCar: car.sourceToCarLength() === 12 ? Float64Array.from({ length: 12 }, (_, i) => car.sourceToCar(i)!) : null,
     vertex, triangle, ...readSkin(new Uint32Array(skin), new Float32Array(skin), vertices, nodes),
   };
 }

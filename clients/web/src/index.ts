@@ -1,5 +1,6 @@
 export * from "./decode.js";
 export * from "./baked.js";
+export * from "./mapping.js";
 export * from "./scene.js";
 export * from "./live.js";
 export * from "./control.js";

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
 import { skin, strain, type BakedCar } from "./baked.js";
+import { crosses, displacementOf, mapVertices, turn, type Mapping } from "./mapping.js";
 import { Shape, type Obstacle } from "./decode.js";
 
 /** Edges that are sharper than this at rest stay sharp: doors, windows, wheel arches. */
@@ -86,6 +87,85 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
 }
 
 const mixed = new THREE.Color();
+
+/**
+ * A model of yours, such as a loaded glTF file, that shows the dents of a baked car: with its own vertices, materials and textures. It
+ * must be in the coordinates of the file from which the car was baked; as a child of the car's frame it then stands where the car is.
+ */
+export class OwnModel extends THREE.Group {
+  /** How many of its vertices lie on a vertex of the baked car; how many there are; and the mean distance to the baked car, m. */
+  onVertices = 0;
+  vertices = 0;
+  meanDistance = 0;
+  #parts: { mesh: THREE.Mesh; mapping: Mapping; rest: Float32Array; normal: Float32Array | null; toCar: THREE.Matrix4 }[] = [];
+  #cross: Float32Array<ArrayBuffer>;
+
+  /** Throws an Error with a sentence if the baked car does not know its source, or if it is another car. */
+  constructor(readonly baked: BakedCar, model: THREE.Object3D) {
+    super();
+    if (!baked.sourceToCar) throw new Error(`${baked.name} does not say where its source's coordinates are: bake it again`);
+    const m = baked.sourceToCar;
+    this.matrix.set(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9], m[10], m[11], 0, 0, 0, 1);
+    this.matrixAutoUpdate = false;
+    this.add(model);
+    model.updateMatrixWorld(true);
+    this.#cross = new Float32Array(baked.triangle.length);
+    const outside = this.matrix.clone().multiply(model.parent!.matrixWorld.clone().invert());
+    model.traverse((object) => {
+      if (object instanceof THREE.Mesh && object.geometry.attributes.position) this.#map(object, outside);
+    });
+    this.meanDistance /= Math.max(1, this.vertices);
+    if (!(this.meanDistance < 0.05))
+      throw new Error(`the model is not ${baked.name}: its vertices are ${Math.round(1000 * this.meanDistance)} mm from it on average`);
+  }
+
+  #map(mesh: THREE.Mesh, outside: THREE.Matrix4): void {
+    const toCar = outside.clone().multiply(mesh.matrixWorld), turned = new THREE.Matrix3().getNormalMatrix(toCar);
+    const geometry = (mesh.geometry = mesh.geometry.clone()), { position, normal } = geometry.attributes, count = position.count;
+    const rest = new Float32Array(3 * count), placed = new Float32Array(3 * count), normals = normal ? new Float32Array(3 * count) : null;
+    const v = new THREE.Vector3();
+    for (let i = 0; i < count; ++i) {
+      v.fromBufferAttribute(position, i).toArray(rest, 3 * i);
+      v.applyMatrix4(toCar).toArray(placed, 3 * i);
+      if (normals) v.fromBufferAttribute(normal, i).applyMatrix3(turned).normalize().toArray(normals, 3 * i);
+    }
+    geometry.setAttribute("position", new THREE.BufferAttribute(rest.slice(), 3).setUsage(THREE.DynamicDrawUsage));
+    if (normals) geometry.setAttribute("normal", new THREE.BufferAttribute(new Float32Array(3 * count), 3).setUsage(THREE.DynamicDrawUsage));
+    mesh.frustumCulled = false; // its bounds move
+    mesh.castShadow = mesh.receiveShadow = true;
+    const mapping = mapVertices(this.baked, placed, normals);
+    this.onVertices += mapping.onVertices;
+    this.vertices += count;
+    this.meanDistance += mapping.distance.reduce((sum, each) => sum + each, 0);
+    this.#parts.push({ mesh, mapping, rest, normal: normals, toCar });
+  }
+
+  /** Releases its vertices. Its materials and textures are those of the model that it was made from. */
+  dispose(): void {
+    for (const { mesh } of this.#parts) mesh.geometry.dispose();
+  }
+
+  /** skinned: the positions of the baked car's vertices, as `skin` writes them. */
+  update(skinned: Float32Array): void {
+    crosses(this.baked, skinned, this.#cross);
+    const v = new THREE.Vector3(), moved = [0, 0, 0];
+    for (const { mesh, mapping, rest, normal, toCar } of this.#parts) {
+      const fromCar = new THREE.Matrix3().setFromMatrix4(toCar).invert(), normalsFromCar = new THREE.Matrix3().setFromMatrix4(toCar).transpose();
+      const at = mesh.geometry.attributes.position, to = mesh.geometry.attributes.normal;
+      for (let i = 0; i < at.count; ++i) {
+        displacementOf(mapping, i, this.baked, skinned, moved, 0);
+        v.fromArray(moved).applyMatrix3(fromCar);
+        at.setXYZ(i, rest[3 * i] + v.x, rest[3 * i + 1] + v.y, rest[3 * i + 2] + v.z);
+        if (!normal) continue;
+        turn(mapping, i, this.#cross, normal, moved, 0);
+        v.fromArray(moved).applyMatrix3(normalsFromCar).normalize();
+        to.setXYZ(i, v.x, v.y, v.z);
+      }
+      at.needsUpdate = true;
+      if (normal) to.needsUpdate = true;
+    }
+  }
+}
 
 // Makes the normal of each corner as the sum over its triangles by their area. The shader makes it a unit vector.
 function sumNormals(at: Float32Array, triangle: Uint32Array, normal: Float32Array): void {

@@ -82,7 +82,7 @@ export function picture(state: State): string {
   renderer.setPixelRatio(1);
   renderer.setSize(320, 180, false);
   const [item] = first.cars.values();
-  item.update(Infinity);
+  item.update(Infinity, first.model);
   item.paint(state.heatOf, state.comparison);
   scene.updateMatrixWorld();
   drawing.look(item.center(), 0.7 * item.radius, 1);

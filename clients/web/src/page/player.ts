@@ -1,7 +1,8 @@
-// Opens recordings, shows them in place of the scene or beside it, and plays them from any moment.
+// Opens recordings, shows them in place of the scene or beside it, and plays them from any moment. Opens models too.
 import { Film } from "../film.js";
 import { BothClocks, Comparison, type Clock } from "./compare.js";
 import { element } from "./element.js";
+import { isModel, openModel } from "./model.js";
 import { colour } from "./panel.js";
 import type { Opened, State } from "./state.js";
 import { resize } from "./view.js";
@@ -35,7 +36,8 @@ async function open(state: State, files: Iterable<{ name: string; arrayBuffer():
   const opened: Opened[] = [];
   for (const recording of [...files].slice(0, 2))
     try {
-      opened.push({ name: recording.name, film: Film.read(new Uint8Array(await recording.arrayBuffer())) });
+      if (isModel(recording.name)) await openModel(state, await recording.arrayBuffer());
+      else opened.push({ name: recording.name, film: Film.read(new Uint8Array(await recording.arrayBuffer())) });
     } catch (error) {
       element("hint").textContent = "";
       alert(`${recording.name} cannot be shown: ${error instanceof Error ? error.message : error}`);

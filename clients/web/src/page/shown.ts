@@ -1,7 +1,7 @@
 // A car as the page shows it: its mesh and colours, the arrow of its last hit, its label, and its row in the panel.
 import * as THREE from "three";
 import type { LiveCar, Scene } from "../scene.js";
-import { CarMesh } from "../three.js";
+import { CarMesh, OwnModel } from "../three.js";
 import { heat, heatMost, type Quantity } from "./colours.js";
 import type { Comparison } from "./compare.js";
 import { place, release } from "./objects.js";
@@ -15,6 +15,8 @@ export class ShownCar {
   readonly label = document.createElement("div");
   readonly row = document.createElement("button");
   mesh: CarMesh | null = null;
+  own: OwnModel | null = null; // in place of the mesh
+  #model: THREE.Object3D | null = null; // what it was made from
   #version = -1;
   #painted = ""; // the quantity that its vertices show, and the version of the surface
   #extent = new THREE.Box3();
@@ -39,13 +41,33 @@ export class ShownCar {
   }
 
   #undress(): void {
+    this.#takeOff();
     this.mesh?.removeFromParent();
     this.mesh?.geometry.dispose();
     this.mesh?.material.dispose();
   }
 
-  /** now: ms, by the scene's clock. */
-  update(now: number): void {
+  #takeOff(): void {
+    this.own?.removeFromParent();
+    this.own?.dispose();
+    this.own = this.#model = null;
+  }
+
+  // A car that was baked from another file keeps its surface.
+  #putOn(model: THREE.Object3D | null): void {
+    if (this.#model === model || !this.mesh) return;
+    this.#takeOff();
+    this.#model = model;
+    try {
+      if (model) this.group.add((this.own = new OwnModel(this.mesh.baked, model.clone(true))));
+    } catch {
+      this.own = null;
+    }
+    this.own?.update(this.mesh.skinned);
+  }
+
+  /** now: ms, by the scene's clock. model: the user's own, null: none. */
+  update(now: number, model: THREE.Object3D | null): void {
     const { car } = this;
     if (car.baked && this.mesh?.baked !== car.baked) {
       this.#undress();
@@ -57,7 +79,11 @@ export class ShownCar {
       this.group.add(this.mesh);
     }
     if (!this.mesh) return;
-    if (this.#version !== car.version && this.mesh.update(car.surface)) this.#version = car.version;
+    this.#putOn(model);
+    if (this.#version !== car.version && this.mesh.update(car.surface)) {
+      this.#version = car.version;
+      this.own?.update(this.mesh.skinned);
+    }
     // While no pose has come, the car stands at the origin: cars are spawned there more often than anywhere else.
     if (car.pose) place(this.group, car.pose);
     this.group.visible = true;
@@ -75,6 +101,8 @@ export class ShownCar {
       material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
     }
+    mesh.visible = heated || !this.own;
+    if (this.own) this.own.visible = !heated;
     const wanted = !heated ? "" : comparison && heatOf === "dent" ? "difference" : `${heatOf} ${this.#version}`;
     if (this.#painted === wanted) return;
     this.#painted = wanted;

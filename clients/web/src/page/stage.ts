@@ -14,6 +14,8 @@ export class Stage {
   readonly group = new THREE.Group();
   readonly cars = new Map<string, ShownCar>();
   readonly obstacles = new ShownObstacles(this.group);
+  /** The user's own model, in place of the surface of cars that were baked from it. */
+  model: THREE.Object3D | null = null;
   /** What the view is about; null: nothing yet. */
   about: { center: THREE.Vector3; radius: number } | null = null;
 
@@ -29,7 +31,7 @@ export class Stage {
       }
     for (const [id, car] of source.cars) {
       if (!this.cars.has(id)) this.#add(new ShownCar(car, this.#freePaint(), this.source));
-      this.cars.get(id)!.update(source.now());
+      this.cars.get(id)!.update(source.now(), this.model);
     }
   }
 
