@@ -8,13 +8,16 @@
 #include <cmath>
 
 #include "box_car.h"
+#include "sanitized.h"
 
 namespace crumple {
 namespace {
 
-// 1.0 x 0.2 x 0.2 m, 1,920 tets.
+constexpr BoxCells cells = sanitized ? BoxCells{10, 2, 2} : BoxCells{20, 4, 4};
+
+// 1.0 x 0.2 x 0.2 m, 1,920 tets; 240 under sanitizers.
 TetMesh bar() {
-  TetMesh mesh = box_mesh({20, 4, 4}).tets;
+  TetMesh mesh = box_mesh(cells).tets;
   Eigen::AlignedBox3f box;
   for (const Vec3& x : mesh.node) box.extend(x);
   for (Vec3& x : mesh.node) x = (x - box.min()).cwiseQuotient(box.sizes()).cwiseProduct(Vec3(1, 0.2f, 0.2f));
@@ -33,6 +36,7 @@ TEST(Bar, KeepsItsPlasticSetAtAnyNumberOfSweeps) {
   EXPECT_NEAR(logarithmic / expected, 1, 0.01);
   const TetMesh tets = bar();
   for (int sweeps : {4, 8, 16, 32, 64}) {
+    if (sanitized && sweeps > 4 && sweeps < 64) continue;  // the same code
     parameters.iterations = uint16_t(sweeps);
     const PulledBar pulled = pull_bar(tets, 1, parameters);
     EXPECT_NEAR(pulled.set / expected, 1, 0.01) << sweeps << " sweeps";

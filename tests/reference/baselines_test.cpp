@@ -8,6 +8,7 @@
 #include <set>
 
 #include "box_car.h"
+#include "sanitized.h"
 #include "sim/classic.h"
 
 namespace crumple {
@@ -265,7 +266,7 @@ TEST(Xpbd, ABarUnderLoadReachesTheStretchOfItsCompliances) {
 TEST(Xpbd, WhatMoreIterationsDoIsSmallAgainstWhatTheComplianceDoes) {
   PulledBar bar;
   const double force = 4e5, few = bar.stretch(force, 200);
-  bar.parameters.iterations = 200;
+  bar.parameters.iterations = sanitized ? 100 : 200;
   EXPECT_NEAR(bar.stretch(force, 200) / few, 1, 0.01);
   for (Material& material : bar.parameters.region) material.young_modulus *= 2;
   EXPECT_NEAR(bar.stretch(force, 200) / few, 0.5, 0.03);

@@ -12,6 +12,7 @@
 #include "box_car.h"
 #include "car/map_level.h"
 #include "host.h"
+#include "sanitized.h"
 #include "sim/flow.h"
 #include "tick/budget.h"
 #include "tick/hash.h"
@@ -109,6 +110,7 @@ TEST(Levels, AreOneOfEachSizeWhateverTheOrderInWhichTheyAreGiven) {
   std::vector<std::shared_ptr<const Car>> all = {level(0), level(1), level(2), heavy};
   std::sort(all.begin(), all.end());
   const std::string& kept = std::min(level(2)->hash, heavy->hash);
+  int orders = 0;
   do {
     const WorldHandle world = make_world(60, 0.0005f);
     for (const auto& car : all) add_asset(*world, car);
@@ -120,7 +122,8 @@ TEST(Levels, AreOneOfEachSizeWhateverTheOrderInWhichTheyAreGiven) {
     for (size_t i = 0; i < 3; ++i) {
       for (size_t k = 0; k < 3; ++k) EXPECT_EQ(i != k, world->level_maps.contains({levels[i]->hash, levels[k]->hash}));
     }
-  } while (std::next_permutation(all.begin(), all.end()));
+  } while (!(sanitized && ++orders == 6) &&  // all orders of the last three
+           std::next_permutation(all.begin(), all.end()));
 }
 
 // ---- the world --------------------------------------------------------------------------------------------------------------
@@ -374,6 +377,7 @@ std::vector<uint64_t> hashes(int threads) {
 
 TEST(Levels, AWorldSavedInMidCrashOnABudgetGoesOnBitForBit) {
   for (int ticks : {1, 8, 10}) {
+    if (sanitized && ticks != 8) continue;  // the same code
     Scene scene, copy;
     drive_forty(scene);
     for (int k = 1; k < ticks; ++k) scene.step();
