@@ -17,6 +17,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "bake/check_shape.h"
 #include "bake/text_of.h"
 #include "car/car.h"
 #include "io/files.h"
@@ -321,7 +322,7 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
   if (longest < shortest_car || longest > longest_car)
     refuse(name, "it measures " + size + ", and no car's longest side lies outside " + text_of(shortest_car) + " to " +
                      text_of(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
-                     text_of(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
+                     likely_scale(longest / options.scale) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");
   return Eigen::Translation3d(-box.center().x(), -box.center().y(), -box.min().z()) * turned;
 }
@@ -422,6 +423,8 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
   out.named = named_parts(flat.part, out.kept);
   out.report.insert(out.report.begin(), std::to_string(flat.meshes) + (flat.meshes == 1 ? " mesh" : " meshes") +
                                             " read; the file's " + chosen.forward + " is forward, its " + chosen.up + " is up");
+  const std::vector<std::string> shape = check_shape(out.surface, chosen);
+  out.report.insert(out.report.end(), shape.begin(), shape.end());
   if (flat.not_triangles)
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
   return out;
