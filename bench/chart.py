@@ -115,12 +115,12 @@ def draw_methods(axes, rows):
         if line:
             axes.plot(*zip(*line), color=colour, marker=mark, markersize=5, linewidth=1.2, label=method)
         elif pick(rows, method=method):
-            axes.plot([], [], color=colour, marker=mark, label=method + " (never finite)")
+            axes.plot([], [], color=colour, marker=mark, label=method + " (its result is never finite)")
         drawn += line if method != "nodal, path given" else []
     default = points(pick(rows, method="nodal", iterations=DEFAULT))
     axes.plot(*zip(*front(drawn + default)), color="#F0E442", linewidth=7, alpha=0.7, zorder=0, label="Pareto front")
     axes.plot(*zip(*default), "*", markersize=17, color="#F0E442", markeredgecolor="black", zorder=9,
-              label="our default: nodal, until it moves little")
+              label="our default: nodal with its tolerance")
     axes.axhline(WANTED, color="black", linewidth=0.8, linestyle=":")
 
 
@@ -165,7 +165,7 @@ def draw_frontier(rows, peers, car, path):
                            f"on {beside[0]['mesh']}, {beside[0]['nodes']:,.0f} nodes", fontsize=8)
         axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
         axes.set_ylim(1e-3, 120)  # smaller errors are rounding
-    all_axes[0][0].set_ylabel("error, rms, % of the largest displacement,\nagainst the method's own converged answer")
+    all_axes[0][0].set_ylabel("error, rms, % of the largest displacement,\nagainst the method's own converged result")
     save(figure, path)
 
 
@@ -207,7 +207,7 @@ def draw_nodes(rows, path):
         axes.plot(*zip(*line), mark, linestyle="-", color=colour, label=label)
         for row in chosen if scene == "wall" else []:
             axes.annotate(row["car"], (row["nodes"], row["ms_best"]), fontsize=7, xytext=(5, -9), textcoords="offset points")
-    axes.axhline(1000 / 60, color="black", linewidth=0.8, linestyle=":", label="the tick itself")
+    axes.axhline(1000 / 60, color="black", linewidth=0.8, linestyle=":", label="duration of a tick")
     axes.legend(fontsize=8)
     save(figure, path)
     return slopes
@@ -222,7 +222,7 @@ def draw_threads(rows, path):
     if not lines:
         return False
     figure, axes = pyplot.subplots(figsize=(6.5, 4.8))
-    log_log(axes, "threads (one: processor time; more: by the wall)", f"ms a tick, nodal at its default, {SCENES['wall']}")
+    log_log(axes, "threads (1: processor time; more: wall time)", f"ms a tick, nodal at its default, {SCENES['wall']}")
     for (car, line), (colour, mark) in zip(lines.items(), METHODS.values()):
         axes.plot(*zip(*line), marker=mark, color=colour, label=f"{car}: {line[0][1] / line[-1][1]:.2f} x")
         axes.plot([n for n, _ in line], [line[0][1] / n for n, _ in line], linestyle=":", color=colour, linewidth=0.8)
@@ -248,7 +248,7 @@ def times_to_one_percent(rows, car):
             elif not row:
                 finite = [r["error_percent"] for r in chosen if r["error_percent"] >= 0]
                 last = f"{number(min(finite))} % at best" if finite else "not finite"
-                line.append(f"never up to {max(r['iterations'] for r in chosen):.0f} ({last})")
+                line.append(f"never in up to {max(r['iterations'] for r in chosen):.0f} ({last})")
             else:
                 more = f", {number(row['ms_best'] / ours['ms_best'])} x ours" if ours and not method.startswith("nodal") else ""
                 line.append(f"**{number(row['ms_best'])}** ({number(row['ms_median'])}) at {row['iterations']:.0f}{more}"
@@ -272,7 +272,7 @@ def peers_to_one_percent(peers):
                          f"{number(row['best_ms'] / ours[threads]['best_ms'])} x" if ours[threads] else ""] if row else \
                     ["never", ""]
             out.append(line)
-    return table(["peer, model", "its answer moves by", "ms to 1 %, one thread", "over ours", "two threads", "over ours"], out)
+    return table(["peer, model", "its result changes by", "ms to 1 %, one thread", "times ours", "ms to 1 %, two threads", "times ours"], out)
 
 
 def kernels(rows):
@@ -292,7 +292,7 @@ def accuracy(rows):
                           for key in ("error_percent", "max_percent", "ms_best", "ms_median", "crush_mm")),
                         "–" if math.isnan(row["energy_ratio"]) else f"{row['energy_ratio']:.4f}"])
     return table(["car", "nodes", "scene", "method", "error, %", "largest, %", "ms, best", "ms, median", "residual crush, mm",
-                  "energy found / brought"], out)
+                  "energy after / before"], out)
 
 
 class Bars:
@@ -329,7 +329,7 @@ class Bars:
         if not ours or not longest:
             return self.add(what, "≥ 20 x less", None)
         times = (theirs[ms] if theirs else longest) / ours["ms_best"]
-        said = f"{number(times)} x" if theirs else f"over {number(times)} x: not within 1 % at any setting measured"
+        said = f"{number(times)} x" if theirs else f"over {number(times)} x: it is not within 1 % at any measured setting"
         self.add(what, "≥ 20 x less", said, times >= 20 if theirs or times >= 20 else None)
 
     def peers(self):
@@ -350,7 +350,7 @@ class Bars:
         said = [f"{threads} thread(s): {number(ours)} ms, Jolt's iteration {number(theirs)} ms, {number(theirs / ours)} x"
                 for threads, ours, theirs in both if ours and theirs]
         _, ours, theirs = both[0]
-        self.add("one sweep over 234,960 tets of a grid, with all between two sweeps", "2 threads: ≤ 1.4 ms, ≥ 6 x less than Jolt",
+        self.add("one sweep over a grid of 234,960 tets, with all work between two sweeps", "2 threads: ≤ 1.4 ms, ≥ 6 x less than Jolt",
                  "; ".join(said), ours <= 1.4 and theirs >= 6 * ours if said else None)
 
     def sweep(self, threads):
@@ -365,7 +365,7 @@ class Bars:
         fastest = min(pick(self.rows, scene="kernel sweep", car=self.large["car"]), key=lambda row: row["ms_best"])
         ns = 1e6 * fastest["ms_best"] / fastest["tets"]
         ms, tets = self.sweep(1)
-        used = f"; {number(1e6 * ms / tets)} with moduli and mixing" if ms else ""
+        used = f"; {number(1e6 * ms / tets)} in a tick, with moduli and mixing" if ms else ""
         self.add("ns per tet per sweep, 1 thread", "≤ 10", f"{number(ns)} ({fastest['car']}, {fastest['method']}){used}",
                  (1e6 * ms / tets if ms else ns) <= 10)
         twice = [(a["ms_best"] / b["ms_best"], b["car"]) for b in pick(self.all, threads=2, iterations=DEFAULT, scene="wall")
@@ -373,8 +373,8 @@ class Bars:
         said = ", ".join(f"{number(times)} x ({car})" for times, car in twice)
         beside = {row["threads"]: row["ms_best"] for row in pick(self.all, scene="side by side")}
         if beside:
-            said += f"; two cars on a thread each, sharing nothing: {number(beside[1] / beside[2])} x"
-        self.add("two threads over one, whole tick", "≥ 1.8 x", said, min(twice)[0] >= 1.8 if twice else None)
+            said += f"; two cars that share nothing, each on its own thread: {number(beside[1] / beside[2])} x"
+        self.add("speed of two threads over one, whole tick", "≥ 1.8 x", said, min(twice)[0] >= 1.8 if twice else None)
         ticks = [row for row in pick(self.all, method="nodal", iterations=DEFAULT, scene="wall") if 4000 < row["nodes"] < 6000]
         for row in sorted(ticks, key=lambda row: -row["threads"])[:1]:
             self.add("whole tick of a crashing car of 5k nodes, 2 threads", "≤ 4 ms", f"{number(row['ms_best'])} "
@@ -389,7 +389,7 @@ class Bars:
         if steps:
             crush = [row["crush_mm"] for row in steps]
             text = " / ".join(f"{value:.0f}" for value in crush)
-            self.add("residual crush of a wall crash by sub-steps a tick", "within 3 %",
+            self.add("residual crush in a wall crash, by number of sub-steps a tick", "within 3 %",
                      f"{text} mm at 4 / 8 / 16 / 32 ({self.car}, 50 km/h)", max(crush) <= 1.03 * min(crush))
         energy = [row for row in pick(self.rows, method="nodal", iterations=DEFAULT) if row["energy_ratio"] > 0]
         worst = max(energy, key=lambda row: abs(row["energy_ratio"] - 1))
@@ -401,8 +401,8 @@ class Bars:
                 forty = pick(self.rows, scene="push in 40 ticks", car=row["car"])[0]
                 return 100 * abs(row["crush_mm"] / forty["crush_mm"] - 1)
             crush, shape = max(map(apart, pushes)), max(row["error_percent"] for row in pushes)
-            self.add("0.40 m of wall in one tick against forty", "within 3 %",
-                     f"crush {number(crush)} %, surface {number(shape)} % rms", max(crush, shape) <= 3)
+            self.add("a wall moves in by 0.40 m in one tick, compared with forty ticks", "within 3 %",
+                     f"crush differs by {number(crush)} %, surface by {number(shape)} % rms", max(crush, shape) <= 3)
 
     def bake(self):
         car = (3674, 50000)
@@ -411,11 +411,11 @@ class Bars:
             return
         loop = best(self.runs("loop", car, self.runs.threads))
         self.add("whole loop of table 6.9, 50k nodes", "≤ 2 ms",
-                 f"{number(loop)} ms a car with `classic`, {self.runs.threads} cars on as many threads", loop <= 2)
+                 f"{number(loop)} ms a car with `classic`, {self.runs.threads} cars on {self.runs.threads} threads", loop <= 2)
         made = best(map_and_constrain(self.runs, car, self.runs.threads))
         load = best(self.runs("load", car))
         self.add("colouring, constraints and skin at bake, 50k nodes", "≤ 0.3 s",
-                 f"{number(made)} ms, and {number(load)} ms of loading, colouring included", made + load <= 300)
+                 f"{number(made)} ms for constraints and skin, {number(load)} ms for loading with colouring", made + load <= 300)
 
     def stability(self):
         cells = [row for row in self.cells if row["method"] == "nodal"]
@@ -425,12 +425,12 @@ class Bars:
         plates = [row for row in cells if "plate" in row["start"]]
         starts = [row for row in cells if row not in random and row not in plates]
         lost = [row["start"] + " (" + row["outcome"] + ")" for row in starts if row["outcome"] != "recovered"]
-        self.add("stress starts recovered", "all", f"{len(starts) - len(lost)} of {len(starts)}" + (": not " + "; ".join(lost)
+        self.add("hostile starts from which the car recovers", "all", f"{len(starts) - len(lost)} of {len(starts)}" + (": not " + "; ".join(lost)
                                                                                                   if lost else ""), not lost)
         bad = [row for row in random if row["outcome"] in ("exploded", "not finite")]
-        self.add("non-finite or exploded over random scenes", "0", f"{len(bad)} of {len(random)}", not bad)
+        self.add("random scenes that end non-finite or exploded", "0", f"{len(bad)} of {len(random)}", not bad)
         held = [int(re.search(r"(\d+) m/s", row["start"])[1]) for row in plates if row["outcome"] == "recovered"]
-        self.add("2 cm plate", "holds at 300 m/s", f"holds at {', '.join(map(str, sorted(set(held))))} m/s" if held else
+        self.add("contact of a 2 cm plate", "holds at 300 m/s", f"holds at {', '.join(map(str, sorted(set(held))))} m/s" if held else
                  "none held",
                  300 in held and len(held) == len(plates))
 
@@ -446,13 +446,13 @@ class Bars:
         pairs = [(a["hash"], b["hash"]) for b in self.all if b["threads"] > 1 for a in self.rows
                  if all(a[key] == b[key] for key in ("scene", "car", "method", "iterations"))]
         same = sum(a == b for a, b in pairs)
-        self.add("same bits on any threads, vector or scalar", "yes", f"{same} of {len(pairs)} plays on more threads end with "
-                 "the hash of one thread; vectors: the tests", same == len(pairs) if pairs else None)
+        self.add("same bits on any number of threads, with vector or scalar instructions", "yes", f"{same} of {len(pairs)} plays on more threads end with "
+                 "the same hash as on one thread; the tests compare vector with scalar instructions", same == len(pairs) if pairs else None)
 
     def text(self):
         for part in (self.errors, self.peers, self.speed, self.physics, self.bake, self.stability, self.others):
             part()
-        return table(["what", "bar", "measured, best (median)", "met"], self.lines)
+        return table(["what", "goal", "measured, best (median)", "met"], self.lines)
 
 
 def page(all_rows, folder, quick):
@@ -463,53 +463,60 @@ def page(all_rows, folder, quick):
     draw_iterations(rows, folder / "iterations.png")
     slopes = draw_nodes(rows, folder / "nodes.png")
     yield "# Accuracy and speed, measured"
-    yield (f"{rows[0]['machine']}; commit {rows[0]['commit']} (page: {commit()}); times are of one thread's processor time "
-           "where nothing else is said. Error: rms distance of the surface's vertices from where the same method puts them "
-           "when it is converged, in % of the largest displacement. `crumple_chart` says how (bench/chart.cpp).")
+    yield (f"Machine: {rows[0]['machine']}. The figures were measured at commit {rows[0]['commit']}; this page was written at "
+           f"commit {commit()}. Times are processor time of one thread, unless a section says otherwise. The error is the rms "
+           "distance of the surface's vertices from the converged result of the same method, in % of the largest displacement "
+           "(bench/chart.cpp says how it is measured).")
     load = max((context["load_avg"][0] for context in Runs(sorted((folder / "cars").glob("*.json"))).contexts), default=0)
     if load > 1.5:  # the benchmark's own thread counts as 1
-        yield (f"**The machine was busy with other work (load {load:.1f}): what is measured by the wall, on more than one "
-               "thread, is too high, and caches were shared.**")
+        yield (f"**Other programs also used the machine (load {load:.1f}), and shared its caches. So wall times are too high; "
+               "all times on more than one thread are wall times.**")
     if quick:
-        left = ["the baselines but `classic` and xpbd, these on the pole and in the elastic push, and beyond 100 iterations",
-                "errors of cars beyond 12,000 nodes", "980 of 1,000 random scenes and long rubbing",
-                "five of the thesis's eight combinations", "dents beside CalculiX and peers: what is below of them is from an "
-                "earlier full run, if any"]
-        yield "**A quick run. Left out: " + "; ".join(left) + ".**"
+        left = ["all baselines except `classic` and xpbd", "these two on the pole, in the elastic push and beyond 100 iterations",
+                "errors of cars of more than 12,000 nodes", "980 of 1,000 random scenes, and long rubbing",
+                "five of the thesis's eight combinations", "peers, and dents beside CalculiX (if the page shows them, they are "
+                "from an earlier full run)"]
+        yield "**This was a quick run. It left out: " + "; ".join(left) + ".**"
     yield "![Error against time](chart.png)"
-    yield f"Milliseconds a tick to come within {WANTED} %, {car}: best (median) at so many iterations.\n"
+    yield (f"The table gives the milliseconds a tick that each method needs to come within {WANTED} % of its converged result, on "
+           f"the car {car}: the best time, the median in brackets, and after \"at\" the number of iterations.\n")
     yield times_to_one_percent(rows, car)
-    yield ("`nodal, path given` is what the others are compared with in the crashes: all of these follow the same path. An "
-           "error that was never within 1 % is one against an answer that is itself not converged, and so too small.")
+    yield ("In the crashes the other methods are compared with `nodal, path given`, because they all follow the same given path. "
+           "If a method never comes within 1 %, the result that its error is measured against is not converged either, so the "
+           "error in the table is too small.")
     if peers:
-        yield (f"Elastic push of bench/peers on {peers[0]['mesh']}, {peers[0]['nodes']:,.0f} nodes: nodes at the nose are moved "
-               "0.20 m in twelve steps of 1/60 s, quasi-statically. All took turns; milliseconds a step by the wall, best "
-               "(median), at the fewest iterations from which on the error is within 1 % of the method's own answer. That "
-               "answer moves by so much when its iterations double. Ours: sweeps of so many sub-steps a step.\n")
+        yield (f"The elastic push of bench/peers runs on {peers[0]['mesh']}, {peers[0]['nodes']:,.0f} nodes. It moves nodes at the "
+               "nose by 0.20 m in twelve steps of 1/60 s, quasi-statically. The programs took turns. The table gives the wall "
+               "time of a step in milliseconds, best (median), at the fewest iterations from which on the error stays within 1 % "
+               "of the method's own converged result. The second column says by how much this result changes when its "
+               "iterations double. An iteration of crumple is a sweep; its model names the number of sub-steps in a step.\n")
         yield peers_to_one_percent(peers)
     yield "## What the default solver must reach"
     yield Bars(all_rows, folder, car).text()
     yield "## Solver error, time steps, mesh"
-    yield ("Of `nodal` at its default. Rows with sub-steps have their error against 64 sub-steps of 24 sweeps; it is of time "
-           "steps and solver together. How crush and time change with the mesh is what the cars differ in.\n")
+    yield ("All rows show `nodal` at its default. If a row names sub-steps, its error is measured against 64 sub-steps of 24 "
+           "sweeps, so it contains the error of the time steps and of the solver. Compare the cars to see how crush and time "
+           "change with the mesh.\n")
     yield accuracy(rows)
     yield "![Error against sweeps](iterations.png)"
     outside = Outside(folder)
     if outside.ours:
         outside.draw(folder / "outside.png")
         yield "## Dents beside CalculiX"
-        yield ("The same meshes, moduli, yield and hardening; von Mises flow there, a crushable foam here (bench/peers/calculix.py "
-               "says which figures must agree: what stays; on the bar and nearly in the tube's walls, forces too). MuJoCo's bar "
-               "and all figures: bench/peers/calculix.csv.\n")
+        yield ("CalculiX and crumple compute the same meshes with the same moduli, yield and hardening. CalculiX computes von Mises "
+               "flow, and crumple a crushable foam. So only the residual deformations must agree. On the bar, and nearly in the "
+               "tube's walls, the forces must agree too (bench/peers/calculix.py gives the reasons). bench/peers/calculix.csv has "
+               "all figures, and those of MuJoCo's bar.\n")
         yield outside.text()
         yield "![Dents and forces beside CalculiX](outside.png)"
     cars = read(folder / "scene.csv")
     if cars:
         scene.draw(cars, folder / "scene.png")
-        yield "## No more than a scene needs\n\n![Cars in a tick of 1/60 s against accuracy](scene.png)"
+        yield "## Cars in one tick, against accuracy\n\n![Cars in a tick of 1/60 s against accuracy](scene.png)"
         yield scene.text(cars)
     yield "## Time against nodes"
-    yield "; ".join(f"{scene}: slope {value:.2f}" for scene, value in slopes.items() if value is not None) + " (log-log)."
+    yield ("Slopes of the lines on logarithmic axes: " +
+           "; ".join(f"{scene} {value:.2f}" for scene, value in slopes.items() if value is not None) + ".")
     yield "![Time against nodes](nodes.png)"
     if draw_threads(all_rows, folder / "threads.png"):
         yield "## Time against threads\n\n![Time against threads](threads.png)"
@@ -521,7 +528,7 @@ def page(all_rows, folder, quick):
         yield "## Stability\n\n![Every method against every hostile start](stability.png)"
     wire = read_codecs(folder / "codec.csv")
     if wire:
-        yield "## On the wire\n\n![Bits per vertex and frame](codec.png)"
+        yield "## Bits on the network\n\n![Bits per vertex and frame](codec.png)"
         yield wire
     if (folder / "tables.md").exists():
         yield re.sub(r"^#", "##", (folder / "tables.md").read_text(), flags=re.M)
@@ -539,7 +546,8 @@ def read_codecs(path):
     lines = ["| " + " | ".join(columns.values()) + " |", "|" + "---|" * len(columns)]
     order = sorted(rows, key=lambda row: (row["car"], row["scene"], float(row["bits"])))
     lines += ["| " + " | ".join(row[name] or "–" for name in columns) + " |" for row in order]
-    text = "`packed` are whole messages, the others the numbers alone; 4 mm are what far viewers get, every sixth tick (bench/codec.py)."
+    text = ("Rows with `packed` count whole messages; the others count only the numbers. Far viewers receive `packed` with a quantum "
+            "of 4 mm, every sixth tick (bench/codec.py).")
     return text + "\n\n" + "\n".join(lines)
 
 
@@ -550,7 +558,7 @@ def main():
     options = parser.parse_args()
     rows = read(options.folder / "chart.csv")
     if not rows:
-        raise SystemExit(f"{options.folder}/chart.csv: no rows; write it with crumple_chart.")
+        raise SystemExit(f"{options.folder}/chart.csv: it is missing or has no rows; write it with crumple_chart.")
     (options.folder / "page.md").write_text("\n\n".join(page(rows, options.folder, options.quick)) + "\n")
 
 

@@ -122,7 +122,7 @@ def draw(rows, path):
         axis.set_yticks(QUANTA, QUANTA)
         axis.minorticks_off()
         axis.grid(alpha=0.3)
-    figure.supxlabel("bits per vertex and frame, mean of the crash; yellow: the bar", y=0.07, fontsize=10)
+    figure.supxlabel("bits per vertex and frame, mean of the crash; yellow: the goal", y=0.07, fontsize=10)
     figure.supylabel("quantum, mm (twice the largest error on an axis)", fontsize=10)
     marks = [plt.Line2D([], [], marker="o", ls="", color=colour, label=name) for name, colour in COLOURS.items()]
     marks += [plt.Line2D([], [], marker=m, ls="", color="black", mfc=f, label=label)

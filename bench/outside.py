@@ -90,11 +90,11 @@ class Outside:
                          *(number(scale * value) for value in (coarse, fine, row["value"])),
                          f"{100 * (row['value'] / fine - 1):+.1f} %", f"{100 * (more['value'] / fine - 1):+.1f} %"])
             if row["quantity"] == STAYS["block"]:
-                rows.append([case, row["yield"], "its profile, rms apart", "", "", "",
+                rows.append([case, row["yield"], "its profile, rms difference", "", "", "",
                              f"{100 * self.apart(row['yield'], row['sides']):.1f} % of the dent", ""])
         more = max(row["sweeps"] for row in self.ours if row["case"] == "tube")
-        return table(["case", "yield", "figure", "CalculiX, our tets (C3D4)", "CalculiX, C3D10", "ours", "ours over C3D10",
-                      f"the same at {more:.0f} sweeps"], rows)
+        return table(["case", "yield", "figure", "CalculiX, our tets (C3D4)", "CalculiX, C3D10", "ours", "ours against C3D10",
+                      f"the same with {more:.0f} sweeps"], rows)
 
     def draw(self, path):
         figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 3.8))

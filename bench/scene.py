@@ -65,17 +65,20 @@ def bars(rows):
     if tap and all_awake:
         share, apart = 100 * tap[0]["us_best"] / all_awake[0]["us_best"], tap[0]["diagonal_percent"]
         visits = 100 * tap[0]["work"] / all_awake[0]["work"]
-        yield ["a tap against a solve of the whole car", "≤ 5 %", f"{number(share)} % of the time, {number(visits)} % of the visits",
+        yield ["a tap, compared with a solve of the whole car", "≤ 5 %", f"{number(share)} % of the time, {number(visits)} % of the visits",
                "yes" if share <= 5 else "**no**"]
-        yield ["their shapes at the end, rms", "≤ 0.1 % of the diagonal", f"{number(apart)} %", "yes" if apart <= 0.1 else "**no**"]
+        yield ["difference of their shapes at the end, rms", "≤ 0.1 % of the diagonal", f"{number(apart)} %", "yes" if apart <= 0.1 else "**no**"]
 
 
 def text(rows):
-    out = ["Cars hit a wall side by side; numbers beside the marks are sweeps, stars the default, small ones with 2 and 1 sub-steps a tick instead of 4. Error: from the finest level with 100 sweeps.\n",
-           table(["what", "bar", "measured", "met"], list(bars(rows)))]
+    out = ["Cars hit a wall side by side. The numbers beside the marks are sweeps. Stars show the default; the small stars have 2 or 1 "
+           "sub-steps a tick instead of 4. The error is the distance from the result of the finest level with 100 sweeps.\n",
+           table(["what", "goal", "measured", "met"], list(bars(rows)))]
     changes = [row for row in rows if row["scene"].startswith(("switch", "crash on"))]
     if changes:
-        out += ["\nA car that was crashed into a pole on the finest level changes its level; \"woken\": how far it then moves.\n",
+        out += ["\nA car crashes into a pole on the finest level, then changes its level. The table says how far its surface moves when "
+                "the level changes and, in the rows with \"woken\", when the car is woken afterwards. For comparison, \"crash on the "
+                "level\" computes the whole crash on the other level.\n",
                 table(["what", "other level, nodes", "rms, mm", "largest, mm", "rms, % of the largest displacement"],
                       [[row["scene"], number(row["nodes"]), shown(row["error_mm"]), shown(row["max_mm"]),
                         shown(row["error_percent"])] for row in changes])]

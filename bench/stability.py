@@ -1,4 +1,4 @@
-"""The stability matrix as a picture: python stability.py CSV -o PNG
+"""Draws the stability matrix: python stability.py CSV -o PNG
 
 in: what crumple_stability wrote; out: a row a start (all random scenes are one), a column a method, in each cell a colour and a
 letter for what happened, with the share of inverted tets or the shape error in % beside it.
@@ -34,7 +34,7 @@ def read_cells(path):
             start = RANDOM + "s" if row["start"].startswith(RANDOM) else row["start"]
             cells[row["method"], start].append(row)
     if not cells:
-        raise SystemExit(f"{path}: no rows; write it with crumple_stability.")
+        raise SystemExit(f"{path}: it has no rows; write it with crumple_stability.")
     return list(dict.fromkeys(m for m, _ in cells)), list(dict.fromkeys(s for _, s in cells)), cells
 
 
@@ -69,7 +69,7 @@ def draw(methods, starts, cells, path):
         side.set_visible(False)
     legend = [Patch(color=colour, label=f"{letter}  {name}") for name, (letter, colour) in OUTCOMES.items()]
     axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.3, 0), ncols=6, fontsize=7, frameon=False,
-                title="I: % of tets inverted.  W: rms shape error, % of the diagonal.  N/M: so many of the scenes.",
+                title="I: % of tets inverted.  W: rms shape error, % of the diagonal.  N/M: in N of M scenes.",
                 title_fontsize=7)
     figure.savefig(path, dpi=150, bbox_inches="tight")
 

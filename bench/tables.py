@@ -170,7 +170,7 @@ def beyond(runs):
                      number(classic_ns(runs, car, True)), number(sweep * 1e6 / tets if sweep > 0 else None), number(flow * 1e6 / tets),
                      number(contacts * 1e3), number(best(runs("tick", car))), number(best(runs("delta", car)) * 1e3),
                      f"{runs.fact('delta', car, 'bytes'):,.0f}", number(best(runs("keyframe", car)) * 1e3)])
-    head = ["surface", "nodes", "tets", "constraints", "classic, ns per constraint, first iteration", "a further one",
+    head = ["surface", "nodes", "tets", "constraints", "classic, ns per constraint, first iteration", "classic, ns per constraint, further iterations",
             "nodal, ns per tet and sweep", "flow, ns per tet and sub-step", "contacts, µs per sub-step",
             "nodal tick at the default, ms", "delta, µs", "delta, bytes", "keyframe, µs"]
     return "### Beyond the thesis: one car, one thread, best\n" + table(head, rows)
@@ -189,7 +189,7 @@ def goals(runs):
              "3,300 ms", "ms")
         goal("classic per constraint, serial, first iteration", car, classic_ns(runs, car, False), 27, "27 ns", "ns")
     head = ["figure", "car", "ours", "wanted, at most", "thesis (3674 x 50000)", "met"]
-    return "### What was asked for at ~50,000 nodes\n" + (table(head, rows) if rows else "No such car was measured.\n")
+    return "### Goals at ~50,000 nodes\n" + (table(head, rows) if rows else "No car of 50,000 nodes was measured.\n")
 
 
 def processor():
@@ -213,12 +213,12 @@ def heading(runs):
         "# Tables 6.1 to 6.9 of the thesis, and ours",
         f"{first['date'][:10]}, commit {commit()}, {processor()}, {cores} cores; parallel: {runs.threads} threads. "
         "Thesis: Intel Core i5-8500, 3.00 GHz, 6 cores.",
-        "Times in ms. Ours: **best** (median) of the repetitions; serial rooms of the loop (6.8 and below) in processor time, "
-        "all else by the wall.",
+        "Times are in ms. Our figures are the **best** (median) of the repetitions. Serial parts of the loop (6.8 and below) are "
+        "processor time; all other figures are wall time.",
     ]
     if load > 1.5:  # the benchmark's own thread counts as 1
-        lines.append(f"**The machine was busy with other work: load {load:.1f} on {cores} cores. What is measured by the wall "
-                     "is too high, parallel figures most.**")
+        lines.append(f"**Other programs also used the machine: load {load:.1f} on {cores} cores. So wall times are too high, "
+                     "those of parallel parts most.**")
     missing = [car for car in [(s, n) for s in (1259, 3674) for n in (1000, 5000, 10000, 50000)] if car not in runs.cars]
     if missing:
         lines.append("Not measured: " + ", ".join(f"{s} x {n}" for s, n in missing) + ".")
@@ -229,14 +229,14 @@ def main():
     runs, thesis = Runs(sys.argv[1:]), read_thesis()
     parts = [heading(runs)]
     if MEDIUM in runs.cars:
-        parts.append("In 6.1, 6.3 and 6.6, reading is of the surface as OBJ and of the tets as Medit text; "
-                     f"{number(best(runs('read_tets', MEDIUM)))} ms of it are a Python child that reads the tets, most of "
-                     "them its start. "
-                     "Ours always maps through a tree and by coincidence, so 6.3 and 6.6 show the same measurement.")
+        parts.append("In 6.1, 6.3 and 6.6 our program reads the surface from OBJ and the tets from Medit text. A Python process "
+                     f"reads the tets in {number(best(runs('read_tets', MEDIUM)))} ms, and most of this time passes before it "
+                     "has started. Our mapping always uses a search tree and direct mapping, so 6.3 and 6.6 show the same "
+                     "measurement.")
         parts.append(initialization(runs, thesis, "6.1", "Serial initialization, 3674 x 5000", 1))
-    parts.append("In 6.2 and 6.5 ours is constraints + mapping; the thesis's figures hold about 40 ms of file reading too. "
-                 "The whole assembly also orders nodes and vertices, paints regions and writes, reads back and checks the "
-                 "file.")
+    parts.append("In 6.2 and 6.5 our figures are constraints + mapping; the thesis's figures also contain about 40 ms of file "
+                 "reading. The whole assembly also orders nodes and vertices, paints regions, writes the file, reads it back and "
+                 "checks it.")
     parts.append(table_62(runs, thesis).replace("2,910", "2,910 (sic: 29,100)"))
     if MEDIUM in runs.cars:
         parts.append(initialization(runs, thesis, "6.3", "Parallel initialization, 3674 x 5000", runs.threads))
@@ -246,9 +246,9 @@ def main():
                                     runs.threads))
     parts.append(table_67(runs, thesis))
     parts.append("cp: collision projection (coarse test and contacts of a tick); cs: constraint solving, one iteration of "
-                 "`classic`; bc: barycentric update of the surface. total, ours: the loop as the server runs it, with what "
-                 "lies between the three. In 6.9 the thesis spreads one car over its threads; we put a car on each thread and "
-                 "divide by the cars.")
+                 "`classic`; bc: barycentric update of the surface. Our total is the loop as the server runs it, with the work "
+                 "between these three. In 6.9 the thesis spreads one car over its threads; we put one car on each thread and "
+                 "divide the time by the number of cars.")
     parts.append(loop(runs, thesis, "6.8", "Deformation loop, serial", 1))
     parts.append(loop(runs, thesis, "6.9", f"Deformation loop, parallel ({runs.threads} threads)", runs.threads))
     parts += [beyond(runs), goals(runs)]

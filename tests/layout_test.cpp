@@ -49,7 +49,7 @@ const std::map<std::string, std::set<std::string>> may_include = {
     {"recording", {"recording", "tick", "viewer", "wire", "car", "protocol", "sim", "schema", "io"}},
     {"service", {"service", "recording", "bake", "tick", "car", "protocol", "schema", "io"}},
     {"gateway", {"gateway", "recording", "bake", "viewer", "car", "protocol", "sim", "schema", "io"}},
-    {"cli", {"cli", "service", "gateway", "recording", "bake", "protocol", "schema", "io"}},
+    {"cli", {"cli", "service", "gateway", "recording", "bake", "viewer", "protocol", "schema", "io"}},
     {"cpp", {"cpp", "viewer", "protocol", "schema", "io"}},  // clients/cpp
 };
 

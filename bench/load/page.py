@@ -24,24 +24,24 @@ def rows(run):
     """Returns the table's entries for one run: label, text."""
     yield "cars: crash at once, drive, sleep", f"{run['crashing']:.0f}, {run['driving']:.0f}, {run['asleep']:.0f}"
     yield "server's options", f"`{run['serve']}`" if run["serve"] else "none"
-    yield "ticks, late", f"{run['ticks']:.0f}, {run['late']:.0f}"
+    yield "ticks; late ticks", f"{run['ticks']:.0f}; {run['late']:.0f}"
     yield "longest tick", f"{run['worst_tick_ms']:.1f} ms"
-    yield "from tick to tick p50, p99, p99.9", f"{run['interval_ms_p50']:.1f}, {run['interval_ms_p99']:.1f}, {run['interval_ms_p99.9']:.1f} ms"
-    yield "surface at the viewer after its tick p50, p99, p99.9", f"{run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f}, {run['latency_ms_p99.9']:.2f} ms"
-    yield "surfaces, never came", f"{run['surfaces']:.0f}, {run['surfaces_missing']:.0f}"
+    yield "time from tick to tick p50, p99, p99.9", f"{run['interval_ms_p50']:.1f}, {run['interval_ms_p99']:.1f}, {run['interval_ms_p99.9']:.1f} ms"
+    yield "delay from a tick to its surface at the viewer p50, p99, p99.9", f"{run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f}, {run['latency_ms_p99.9']:.2f} ms"
+    yield "surfaces that came; that never came", f"{run['surfaces']:.0f}; {run['surfaces_missing']:.0f}"
     yield f"viewer of {run['follow']:.0f} cars: mean, busiest second", f"{run['viewer_mbits_mean']:.2f}, {run['viewer_mbits_worst']:.2f} Mb/s"
     if run["far_viewer_mbits_mean"] > 0:
         yield "far viewer of every car: mean, busiest second", f"{run['far_viewer_mbits_mean']:.2f}, {run['far_viewer_mbits_worst']:.2f} Mb/s"
-    yield "bits per vertex and frame, of far viewers", f"{run['bits_per_vertex_frame']:.1f}, {run['far_bits_per_vertex_frame']:.1f}"
-    yield "first surfaces after, of late viewers", f"{run['open_ms_worst']:.0f}, {run['late_join_ms_worst']:.0f} ms"
+    yield "bits per vertex and frame; for far viewers", f"{run['bits_per_vertex_frame']:.1f}; {run['far_bits_per_vertex_frame']:.1f}"
+    yield "time to the first surfaces; for late viewers", f"{run['open_ms_worst']:.0f}; {run['late_join_ms_worst']:.0f} ms"
     if run["thawed_current_after_ms"] > 0:
-        shown = f"{run['thawed_stale_ms_worst']:.0f} ms"
-        yield "frozen for 3 s: current after; oldest shown was superseded", f"{run['thawed_current_after_ms']:.0f} ms; {shown} before"
+        stale = f"{run['thawed_stale_ms_worst']:.0f} ms"
+        yield "viewer frozen for 3 s: up to date again after; its surfaces were out of date by at most", f"{run['thawed_current_after_ms']:.0f} ms; {stale}"
     yield "surfaces that differ at the end", f"{run['diverged']:.0f} of {run['compared']:.0f}"
-    yield "server, its recorder", f"{run['cpu_cores']:.2f}, {run['recorder_cores']:.3f} cores"
-    yield "memory, descriptors", f"{run['memory_mb']:.0f} MB, {run['descriptors_most']:.0f}"
+    yield "processor time of the server; of its recorder", f"{run['cpu_cores']:.2f}; {run['recorder_cores']:.3f} cores"
+    yield "memory; file descriptors", f"{run['memory_mb']:.0f} MB; {run['descriptors_most']:.0f}"
     yield "worst residual of a sub-step", f"{run['residual_worst_mm']:.2f} mm"
-    yield "lost by the recording, dropped by the network", f"{run['recording_lost']:.0f}, {run['sent_dropped'] + run['received_dropped']:.0f}"
+    yield "messages that the recording lost; that the network dropped", f"{run['recording_lost']:.0f}; {run['sent_dropped'] + run['received_dropped']:.0f}"
 
 
 def draw_runs(runs, path):
@@ -88,7 +88,7 @@ def draw_knees(knees, path):
 
 def link_rows(links):
     """Returns the table of impaired links: its head, then a row for each link."""
-    yield "| link, one way | surface after its tick p50, p99, ms | behind for at most, ms | back after a cut of 2 s, ms | first surface, late one, ms | keyframes asked for | mean Mb/s | packets lost | differ at the end |"
+    yield "| link, one way | delay of a surface p50, p99, ms | longest delay, ms | up to date after a cut of 2 s, ms | first surface; of a late viewer, ms | keyframes asked for | mean Mb/s | packets lost | differ at the end |"
     yield "|---" * 9 + "|"
     for run in links:
         parts = ["UDP" if run["link"] == "udp" else "TCP"]
@@ -101,7 +101,7 @@ def link_rows(links):
             parts.append(f"{run['kbit']:.0f} kbit/s")
         yield (
             f"| {', '.join(parts)} | {run['latency_ms_p50']:.0f}, {run['latency_ms_p99']:.0f} | {run['latency_ms_most']:.0f} | {run['back_ms_worst']:.0f} "
-            f"| {run['open_ms_worst']:.0f}, {run['late_join_ms_worst']:.0f} | {run['keyframes_asked']:.0f} | {run['viewer_mbits_mean']:.2f} "
+            f"| {run['open_ms_worst']:.0f}; {run['late_join_ms_worst']:.0f} | {run['keyframes_asked']:.0f} | {run['viewer_mbits_mean']:.2f} "
             f"| {run['packets_lost']:.0f} of {run['packets']:.0f} | {run['diverged']:.0f} of {run['compared']:.0f} |"
         )
 
@@ -117,10 +117,10 @@ def main(folder):
         elif name in ("ten", "hundred"):
             runs[name] = run
     if not runs and not links:
-        sys.exit(f"page.py: {folder} holds no run of bench/load/run: start that")
+        sys.exit(f"page.py: {folder} has no run of bench/load/run; start bench/load/run first")
     runs = dict(sorted(runs.items(), key=lambda item: item[1]["crashing"]))
     text = ["# The server under load", ""]
-    text += [f"By `bench/load/run`, on {[*runs.values(), *links][0]['machine']}; server, hosts and viewers share them. Everything crosses zenoh over", "TCP on loopback; recording is on.", ""]
+    text += [f"`bench/load/run` measured this on one machine ({[*runs.values(), *links][0]['machine']}), which the server, the hosts and the viewers share.", "All messages cross zenoh over TCP on loopback. The server records.", ""]
     if runs:
         tables = [dict(rows(run)) for run in runs.values()]
         labels = list(dict.fromkeys(label for table in tables for label in table))
@@ -130,8 +130,8 @@ def main(folder):
         text += ["", "![Ticks, delay and memory](load.png)", ""]
     if knees:
         draw_knees(knees, folder / "knee.png")
-        text += ["## Where it breaks", "", "More and more cars hit walls at 50 km/h, all in the same tick, every three seconds; four viewers.", "", "![Late ticks, longest tick and delay against cars that crash at once](knee.png)", ""]
-        text += ["| cars at once | late of all ticks | longest tick, ms | surface after its tick p50, p99, ms | worst residual, mm |", "|---|---|---|---|---|"]
+        text += ["## Where it breaks", "", "Every three seconds cars hit walls at 50 km/h, all in the same tick; from run to run there are more of them. There are four viewers.", "", "![Late ticks, longest tick and delay against cars that crash at once](knee.png)", ""]
+        text += ["| cars at once | late of all ticks | longest tick, ms | delay of a surface p50, p99, ms | worst residual, mm |", "|---|---|---|---|---|"]
         for kind, (label, _) in KNEES.items():
             for run in sorted(knees.get(kind, []), key=lambda each: each["crashing"]):
                 text.append(
@@ -139,7 +139,7 @@ def main(folder):
                     f"| {run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f} | {run['residual_worst_mm']:.2f} |"
                 )
     if links:
-        text += ["", "## Bad links", "", "Five cars hit walls every three seconds; three viewers, and one that comes late, each behind a link that delays and loses in both directions", "alike (`bench/impaired_link.h`). TCP sends again what was lost, and the stream stands meanwhile. UDP is `?rel=1`.", ""]
+        text += ["", "## Bad links", "", "Five cars hit walls every three seconds. Three viewers, and a fourth that comes late, each have a link that delays and loses packets in both", "directions alike (`bench/impaired_link.h`). TCP sends lost packets again, and the later data waits for them. UDP means `?rel=1`.", ""]
         text += link_rows(links)
     (folder / "page.md").write_text("\n".join(text) + "\n")
     print(f"written {folder}/page.md")

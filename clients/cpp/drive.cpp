@@ -117,7 +117,7 @@ struct Run {
 };
 
 std::string hash_of_car(const std::string& car) {
-  if (car.empty()) throw std::runtime_error("no car is given: --car FILE, the same as for `crumple serve`");
+  if (car.empty()) throw std::runtime_error("no car is given: add --car FILE with the file that `crumple serve` has");
   if (is_hash(car)) return car;
   const std::string bytes = read_file(car, asset_limit, "give the file that `crumple bake` wrote, or its hash");
   return hash_of(bytes.data(), bytes.size());

@@ -44,8 +44,8 @@ Crumple* find(const Crumple* handle) {
     const std::shared_lock hold(known.lock);
     if (const auto at = known.all.find(handle); at != known.all.end()) return at->second.get();
   }
-  fail(CRUMPLE_BAD_ARGUMENT,
-       handle ? "the session was closed, or is none: crumple_open gives one" : "session is NULL: crumple_open gives one");
+  fail(CRUMPLE_BAD_ARGUMENT, handle ? "the session was closed, or was never open: crumple_open opens one"
+                                    : "session is NULL: crumple_open opens one");
   return nullptr;
 }
 

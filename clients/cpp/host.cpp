@@ -53,7 +53,7 @@ int put(Crumple& session, const char* what, const flatbuffers::FlatBufferBuilder
 int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Offset<void> body,
           flatbuffers::FlatBufferBuilder& builder, uint64_t* ticket) {
   if (!session.net) return fail(CRUMPLE_CLOSED, no_network);
-  if (!is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+  if (!is_id(car)) return fail(CRUMPLE_BAD_ARGUMENT, "car is not an id: give 1 to 32 characters of a-z A-Z 0-9 _ -");
   builder.Finish(schema::CreateCommand(builder, kind, body));
   const std::string key = session.root + "car/" + car;
   const auto timeout = static_cast<uint32_t>(session.timeout.count());
@@ -66,7 +66,7 @@ int order(Crumple& session, const char* car, schema::Order kind, flatbuffers::Of
 
 int find_answer(Crumple& session, uint64_t ticket, CrumpleAnswer* out) {
   const auto at = session.answers.find(ticket);
-  if (at == session.answers.end()) return fail(CRUMPLE_UNKNOWN, "no such ticket among the last 256 commands");
+  if (at == session.answers.end()) return fail(CRUMPLE_UNKNOWN, "the ticket belongs to none of the last 256 commands");
   const CommandAnswer& answer = at->second;
   if (!answer.arrived) return CRUMPLE_PENDING;
   *out = {answer.ok, answer.tick, answer.sentence.c_str(), answer.state.data(), answer.state.size()};
@@ -82,7 +82,7 @@ CrumpleParameters crumple_keep(void) {
 
 int crumple_spawn(Crumple* handle, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
   return with(handle, {{"car", car}, {"asset", asset}, {"spawn", spawn}, {"ticket", ticket}}, [&](Crumple* session) -> int {
-    if (!crumple::is_hash(asset)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+    if (!crumple::is_hash(asset)) return fail(CRUMPLE_BAD_ARGUMENT, "asset is not a hash: give 16 hexadecimal digits");
     if (session->host.empty())
       return fail(CRUMPLE_BAD_ARGUMENT, "this session has no host id: give options.host to crumple_open");
     if (!good_pose(spawn->pose)) return refuse_pose(car);
@@ -183,7 +183,8 @@ int crumple_publish_poses(Crumple* handle, double time, const CrumpleCarPose* ca
     std::vector<flatbuffers::Offset<schema::CarPose>> list;
     for (size_t i = 0; i < count; ++i) {
       const CrumpleCarPose& car = cars[i];
-      if (!is_id(car.car)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+      if (!is_id(car.car))
+        return fail(CRUMPLE_BAD_ARGUMENT, "car of a pose is not an id: give 1 to 32 characters of a-z A-Z 0-9 _ -");
       if (!good_pose(car.pose)) return refuse_pose(car.car);
       if (!finite(car.velocity, 3) || !finite(car.angular_velocity, 3))
         return fail(CRUMPLE_BAD_ARGUMENT, std::string("the velocity of ") + car.car + " is not finite");

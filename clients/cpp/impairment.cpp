@@ -54,7 +54,8 @@ int crumple_impair(Crumple* handle, const CrumpleImpairment* line) {
     if (!session->net) return fail(CRUMPLE_CLOSED, no_network);
     const auto within = [](float value, float most) { return value >= 0 && value <= most; };
     if (!within(line->delay, 60) || !within(line->jitter, 60) || !within(line->loss, 1) || !within(line->repeat, 1))
-      return fail(CRUMPLE_BAD_ARGUMENT, "an impairment's delay or jitter is not from 0 to 60 s, or a share not from 0 to 1");
+      return fail(CRUMPLE_BAD_ARGUMENT,
+                  "delay or jitter of an impairment is not from 0 to 60 s, or loss or repeat is not from 0 to 1");
     session->impaired.line = *line;
     session->impaired.draw.seed(line->seed);
     return CRUMPLE_OK;

@@ -1,6 +1,7 @@
 // Makes meshes of baked cars, which the server or the caller gives. It checks a car before it shows a field of it.
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -50,7 +51,10 @@ std::string read_mesh(const std::string& hash, Asset& asset) {
   const uint32_t vertices = car.vertex()->size();
   const bool fits = triangle.size() % 3 == 0 &&
                     std::all_of(triangle.begin(), triangle.end(), [&](uint32_t vertex) { return vertex < vertices; });
-  if (!fits) return "triangles of asset " + hash + " name vertices that it does not have";
+  if (!fits || triangle.size() == 0) return "triangles of asset " + hash + " name vertices that it does not have";
+  for (const schema::Vec3* v : *car.vertex())
+    if (!std::isfinite(v->x()) || !std::isfinite(v->y()) || !std::isfinite(v->z()))
+      return "a vertex of asset " + hash + " is not a finite number";
   if (!read_skin(car, asset)) return "the skin of asset " + hash + " names nodes that it does not have";
   asset.mesh.vertex_count = vertices;
   asset.mesh.triangle_count = triangle.size() / 3;
@@ -84,7 +88,7 @@ void take_asset(Crumple& session, AssetNews news) {
 using namespace crumple::client;
 
 int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* out) {
-  if (!crumple::is_hash(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "not the hash of an asset: 16 hexadecimal digits");
+  if (!crumple::is_hash(hash)) return fail(CRUMPLE_BAD_ARGUMENT, "asset is not a hash: give 16 hexadecimal digits");
   Asset& asset = session->assets[hash];
   if (asset.whole) {
     *out = asset.mesh;
@@ -93,7 +97,8 @@ int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* ou
   if (!asset.trouble.empty()) {
     return fail(CRUMPLE_NO_ANSWER, std::exchange(asset.trouble, {}));
   }
-  if (!session->net) return fail(CRUMPLE_UNKNOWN, "asset " + std::string(hash) + " was not given: crumple_add_asset");
+  if (!session->net)
+    return fail(CRUMPLE_UNKNOWN, "asset " + std::string(hash) + " is not in this session: give it to crumple_add_asset");
   return session->fetching.want(hash, Clock::now()) ? CRUMPLE_PENDING : fail(CRUMPLE_NO_ANSWER, transport_error());
 }
 

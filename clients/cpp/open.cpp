@@ -33,9 +33,10 @@ int begin(Crumple& session, const char* connect, const char* network) {
   while (!session.server_alive) {
     const auto left = std::chrono::duration_cast<std::chrono::microseconds>(deadline - Clock::now());
     if (left.count() <= 0)
-      return fail(CRUMPLE_CLOSED, "no server of scene " +
-                                      session.root.substr(key_root.size(), session.root.size() - key_root.size() - 1) +
-                                      " answers at " + connect + ": start `crumple serve --scene ...`, or give its scene");
+      return fail(CRUMPLE_CLOSED,
+                  "no server of scene " + session.root.substr(key_root.size(), session.root.size() - key_root.size() - 1) +
+                      " answers at " + connect +
+                      ": start `crumple serve --scene ...` there, or give the scene of the server that runs there");
     if (const int got = poll(&session, static_cast<uint64_t>(left.count())); got < 0) return got;
   }
   return CRUMPLE_OK;
@@ -72,7 +73,7 @@ int crumple_open(const CrumpleOptions* options, Crumple** out) {
       return fail(CRUMPLE_BAD_ARGUMENT, "options.scene or .host is not an id: 1 to 32 characters of a-z A-Z 0-9 _ -");
     if (!crumple::is_scene(options->scene))
       return fail(CRUMPLE_BAD_ARGUMENT,
-                  "options.scene is \"asset\", under which the keys of baked cars stand: give another name");
+                  "options.scene is \"asset\", but the keys of baked cars begin with this name: give another name");
     const char* network = options->network && *options->network ? options->network : nullptr;
     if (network && net_check(network) != 0)
       return fail(CRUMPLE_BAD_ARGUMENT, std::string("options.network: ") + transport_error());

@@ -13,8 +13,9 @@ namespace crumple::client {
 inline const CLI::Validator scene(
     [](std::string& text) -> std::string {
       if (crumple::is_scene(text)) return "";
-      return crumple::is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
-                                  : "\"" + text + "\" is not an id: use " + id_rule;
+      return crumple::is_id(text)
+                 ? "\"" + text + "\" cannot name a scene, because the keys of baked cars begin with it; give another name"
+                 : "\"" + text + "\" is not an id: use " + id_rule;
     },
     "ID");
 inline const CLI::Validator id(

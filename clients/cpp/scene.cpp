@@ -20,7 +20,7 @@ namespace {
 double length(const schema::Vec3& v) { return std::hypot(v.x(), v.y(), v.z()); }
 
 void check(const std::string& file, const schema::SceneT& scene) {
-  if (scene.hits.empty()) refuse(file, "hits is empty: nothing would happen");
+  if (scene.hits.empty()) refuse(file, "hits is empty: give at least one hit");
   if (!(scene.rate >= 1 && scene.rate <= 1000)) refuse(file, "rate is not in [1, 1000] poses a second");
   if (!(scene.mass >= 0 && std::isfinite(scene.mass))) refuse(file, "mass is negative");
   for (size_t i = 0; i < scene.hits.size(); ++i) {

@@ -95,7 +95,7 @@ int crumple_feed(Crumple* handle, const char* key, const void* bytes, size_t siz
 
 int crumple_follow(Crumple* handle, const char* id, int level) {
   return with(handle, {}, [&](Crumple* session) -> int {
-    if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "not the id of a car: 1 to 32 characters of a-z A-Z 0-9 _ -");
+    if (id && !is_id(id)) return fail(CRUMPLE_BAD_ARGUMENT, "car is not an id: give 1 to 32 characters of a-z A-Z 0-9 _ -");
     if (level != 0 && level != 1) return fail(CRUMPLE_BAD_ARGUMENT, "level is neither 0 (near) nor 1 (far)");
     const bool watched = !session->net || session->following.level != none || (id && session->following.cars.count(id) > 0);
     if (!watched && net_watch(session->net, (session->root + "car/" + (id ? id : "*")).c_str()) != 0)
@@ -132,7 +132,7 @@ int crumple_surface(Crumple* handle, const char* id, CrumpleSurface* out) {
   return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
     const auto at = session->following.cars.find(id);
     if (at == session->following.cars.end())
-      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: call crumple_follow");
     const FollowedCar& car = at->second;
     if (!held(car)) return CRUMPLE_PENDING;
     *out = {car.surface.tick,

@@ -20,6 +20,7 @@
 #include "io/net.h"
 #include "viewer/fetch.h"
 #include "viewer/follow.h"
+#include "viewer/mapping.h"
 
 namespace crumple::client {
 
@@ -35,6 +36,8 @@ inline constexpr size_t answers_kept = 256;
 inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one message
 inline constexpr size_t list_limit = 10'000;               // poses or obstacles: a server takes 1 MiB of them, which is fewer
 inline constexpr size_t point_limit = 100'000;             // of all hulls together: likewise
+inline constexpr size_t mapped_limit = 4'000'000;          // vertices of a mesh: twenty times the largest baked car
+inline constexpr size_t mapping_limit = 1024;              // mappings of a session: a hundred cars with ten meshes each
 inline constexpr size_t stride_limit = 4096;               // bytes of a vertex: engines use some 100; refuses -1
 
 // Computes the server's time from the delay of messages: the time of arrival minus the time of the tick. The least delay of the
@@ -59,10 +62,22 @@ struct Past {
 struct ShownCar {
   std::deque<Past> past;  // earlier surfaces and the newest, oldest first; empty: nobody asked for them
   bool dirty = false;
-  // What the last crumple_copy gave: displacements of the skin's nodes, in quanta.
-  std::string copied_asset;
-  float copied_quantum = 0;
-  std::vector<float> copied;
+  // What the last crumple_copy gave, by its mapping: displacements of the skin's nodes, in quanta.
+  struct Copied {
+    std::string asset;
+    float quantum = 0;
+    std::vector<float> node;
+  };
+  std::map<uint32_t, Copied> copied;
+};
+
+// A mesh of the game, bound to an asset.
+struct OwnMesh {
+  std::string asset;
+  Mapping mapping;
+  std::vector<Point> position;         // at rest, in the mesh's coordinates
+  std::vector<Point> normal, tangent;  // at rest, in the car's frame; empty: it has none
+  Rows to_car, from_car;               // the linear part of the mesh's matrix, and its inverse
 };
 
 // A simulated bad line, with its messages by time of arrival. They go to the session, or with a whole key to the server.
@@ -134,7 +149,9 @@ struct Crumple {
   crumple::client::ServerClock clock;
   CrumpleStatistics statistics{};
   crumple::client::Impaired impaired;
+  std::vector<crumple::client::OwnMesh> own;                // mapping k + 1 is own[k]
   std::vector<float> node, displacement, position, normal;  // scratch of crumple_copy
+  std::vector<crumple::client::Point> cross;
   std::vector<uint8_t> moved;
 };
 
@@ -156,8 +173,8 @@ int fail_by(const std::exception*) noexcept;
 
 // Runs a function of the header. Checks the session and all arguments that the function needs, and lets no exception out of the
 // library, because callers in C or another language cannot catch it.
-template <class DeformableState>
-int guarded(std::initializer_list<Argument> needed, DeformableState body) noexcept {
+template <class Function>
+int guarded(std::initializer_list<Argument> needed, Function body) noexcept {
   try {
     return not_null(needed) ? static_cast<int>(body()) : CRUMPLE_BAD_ARGUMENT;
   } catch (const std::exception& thrown) {
@@ -166,8 +183,8 @@ int guarded(std::initializer_list<Argument> needed, DeformableState body) noexce
     return fail_by(nullptr);
   }
 }
-template <class DeformableState>
-int with(const Crumple* handle, std::initializer_list<Argument> needed, DeformableState body) noexcept {
+template <class Function>
+int with(const Crumple* handle, std::initializer_list<Argument> needed, Function body) noexcept {
   return guarded({}, [&] {
     Crumple* session = find(handle);
     return session && not_null(needed) ? static_cast<int>(body(session)) : CRUMPLE_BAD_ARGUMENT;

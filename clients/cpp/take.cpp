@@ -61,7 +61,7 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   session.clock.take(message->tick());
   for (const auto* from : *message->cars()) {
     if (!crumple::is_id(from->car()->string_view()) || session.names.size() > 100'000) {
-      refuse(session, "a reaction names a car that can have no such id, or there are over 100000 cars");
+      refuse(session, "a reaction names a car with an invalid id, or there are over 100000 cars");
       continue;
     }
     CrumpleReaction to{};

@@ -87,6 +87,37 @@ void mark(const Asset& asset, const std::vector<float>& now, const std::vector<f
   }
 }
 
+std::span<const Point> points(const float* first, size_t count) {
+  static_assert(sizeof(Point) == 3 * sizeof(float));
+  return {reinterpret_cast<const Point*>(first), count};
+}
+
+std::span<const Corners> triangles(const CrumpleMesh& mesh) {
+  static_assert(sizeof(Corners) == 3 * sizeof(uint32_t));
+  return {reinterpret_cast<const Corners*>(mesh.triangle), mesh.triangle_count};
+}
+
+// Writes the vertices of a game's own mesh. cross: of the surface's triangles now, if normals or tangents are wanted.
+void write_own(const OwnMesh& own, std::span<const Point> displacement, std::span<const Point> cross,
+               const CrumpleVertices& out, size_t count) {
+  const size_t step = out.stride / sizeof(float);
+  const Rows normals_from_car = transposed(own.to_car);  // a matrix turns normals by the transpose of its inverse
+  const auto put = [&](float* to, size_t i, const Point& value) { std::copy_n(value.data(), 3, to + step * i); };
+  for (size_t i = 0; i < count; ++i) {
+    if (out.position || out.displacement) {
+      const Point moved = own.from_car * displacement_of(own.mapping, i, displacement);
+      const Point& rest = own.position[i];
+      if (out.position) put(out.position, i, {rest[0] + moved[0], rest[1] + moved[1], rest[2] + moved[2]});
+      if (out.displacement) put(out.displacement, i, moved);
+    }
+    if (cross.empty()) continue;
+    const Turn turn = turn_of(own.mapping, i, cross);
+    const Point& normal = own.normal.empty() ? own.mapping.facing[i] : own.normal[i];
+    if (out.normal) put(out.normal, i, unit(normals_from_car * turn(normal)));
+    if (out.tangent && !own.tangent.empty()) put(out.tangent, i, unit(own.from_car * turn(own.tangent[i])));
+  }
+}
+
 void write(const std::vector<float>& from, const CrumpleVertices& out, size_t count, float* to) {
   const size_t step = out.stride / sizeof(float);
   for (size_t i = 0; to && i < count; ++i) std::copy_n(&from[3 * i], 3, to + step * i);
@@ -106,13 +137,14 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
   return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
     const auto at = session->following.cars.find(id);
     if (at == session->following.cars.end())
-      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: crumple_follow");
+      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: call crumple_follow");
     if (out->stride < 12 || out->stride % 4 != 0 || out->stride > stride_limit)
       return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4 from 12 to 4096");
     const FollowedCar& car = at->second;
     const Surface& surface = car.surface;
     ShownCar& shown = session->shown[at->first];
     if (!held(car)) return CRUMPLE_PENDING;
+    if (out->mapping > session->own.size()) return fail(CRUMPLE_BAD_ARGUMENT, "mapping is none that crumple_map gave");
     if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
     if (out->time != 0 && shown.past.empty()) remember(surface, shown, session->clock.rate);
     CrumpleMesh mesh;
@@ -120,30 +152,48 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
     const Asset& asset = session->assets.at(surface.asset);
     if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
       return fail(CRUMPLE_NO_ANSWER,
-                  "the surface of car " + std::string(id) + " has not as many nodes as the skin of its asset");
+                  "the surface of car " + std::string(id) + " and the skin of its asset have different numbers of nodes");
 
-    const size_t count = std::min(out->capacity, asset.skin.size());
+    const OwnMesh* own = out->mapping ? &session->own[out->mapping - 1] : nullptr;
+    if (own && own->asset != surface.asset)
+      return fail(CRUMPLE_BAD_ARGUMENT, "the mapping is for asset " + own->asset + ", and car " + id + " has " + surface.asset);
+    const size_t count = std::min(out->capacity, own ? own->position.size() : asset.skin.size());
     std::vector<float>&displacement = session->displacement, &position = session->position;
     const float quantum = nodes_at(car, shown.past, out->time * session->clock.rate, session->node);
     displace(asset, session->node, quantum, displacement);
     position.resize(displacement.size());
     std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
-    if (out->normal) find_normals(mesh, position, session->normal);
-    write(position, *out, count, out->position);
-    write(displacement, *out, count, out->displacement);
-    write(session->normal, *out, count, out->normal);
+    const size_t vertices = asset.skin.size();
+    if (own) {
+      session->cross.clear();
+      if (out->normal || out->tangent) find_crosses(points(position.data(), vertices), triangles(mesh), session->cross);
+      write_own(*own, points(displacement.data(), vertices), session->cross, *out, count);
+    } else {
+      if (out->normal) find_normals(mesh, position, session->normal);
+      write(position, *out, count, out->position);
+      write(displacement, *out, count, out->displacement);
+      write(session->normal, *out, count, out->normal);
+    }
 
-    if (shown.copied_asset != surface.asset || shown.copied_quantum != quantum) shown.copied.clear();
-    mark(asset, session->node, shown.copied, session->moved);
+    ShownCar::Copied& copied = shown.copied[out->mapping];
+    if (copied.asset != surface.asset || copied.quantum != quantum) copied.node.clear();
+    mark(asset, session->node, copied.node, session->moved);
+    if (own) {
+      std::vector<uint8_t> moved(own->position.size());
+      for (size_t i = 0; i < moved.size(); ++i)
+        for (size_t k = 0; k < 3; ++k)
+          if (own->mapping.weight[i][k] > 0) moved[i] |= session->moved[own->mapping.corner[i][k]];
+      session->moved.swap(moved);
+    }
     const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);
     const auto is_moved = [](uint8_t how) { return how != 0; };
     const auto first = std::find_if(begin, end, is_moved);
     const auto last = std::find_if(std::make_reverse_iterator(end), std::make_reverse_iterator(first), is_moved).base();
     out->first = first == end ? 0 : static_cast<uint32_t>(first - begin);
     out->count = static_cast<uint32_t>(last - first);
-    shown.copied_asset = surface.asset;
-    shown.copied_quantum = quantum;
-    shown.copied.swap(session->node);
+    copied.asset = surface.asset;
+    copied.quantum = quantum;
+    copied.node.swap(session->node);
     const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
     shown.dirty &= !newest;
     return CRUMPLE_OK;

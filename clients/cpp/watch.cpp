@@ -47,7 +47,8 @@ void write_surface(Session& session, const std::string& id, const std::string& p
   vertices.stride = 3 * sizeof(float);
   vertices.capacity = mesh.vertex_count;
   const auto surface = session.surface(id);  // which may be newer now
-  if (!surface || !session.copy(id, vertices)) throw Error("car " + id + " is not held any more: its server fell silent");
+  if (!surface || !session.copy(id, vertices))
+    throw Error("car " + id + " is not held any more, because its server fell silent");
   write_obj(path, mesh.attribution, id, surface->tick, {mesh.vertex, displacement.size()}, displacement,
             {mesh.triangle, size_t{3} * mesh.triangle_count});
   std::printf("wrote %s\n", path.c_str());

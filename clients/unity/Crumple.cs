@@ -133,8 +133,21 @@ public struct Vertices {
   UIntPtr stride, capacity;
   public double Time;
   public uint First, Count;
+  public uint Mapping;    // from Session.TryMap: the vertices of your own mesh; 0: those of Session.TryMesh
+  public IntPtr Tangent;  // only with a mapping whose mesh has tangents
   public int Stride { get { return (int)stride; } set { stride = (UIntPtr)(uint)value; } }
   public int Capacity { get { return (int)capacity; } set { capacity = (UIntPtr)(uint)value; } }
+}
+
+/// A mesh of the car that you draw yourself, for Session.TryMap: pointers to 3 floats of each vertex in pinned memory.
+public struct OwnMesh {
+  public IntPtr Position, Normal, Tangent;  // zero: it has no normals, no tangents
+  UIntPtr stride, count;
+  public IntPtr ToCar;  // 12 doubles: rows of the 3 x 4 matrix to the car's frame; zero: positions are in the source's coordinates
+  public uint OnVertices;
+  public float Farthest;  // m
+  public int Stride { get { return (int)stride; } set { stride = (UIntPtr)(uint)value; } }
+  public int Count { get { return (int)count; } set { count = (UIntPtr)(uint)value; } }
 }
 
 /// The pointers stay valid as long as the session.
@@ -300,6 +313,11 @@ public sealed class Session : IDisposable {
   /// Returns false while the surface or its mesh is missing.
   public bool Copy(string car, ref Vertices vertices) { return Check(Native.crumple_copy(Open, Id(car), ref vertices)) == 0; }
   /// Asks the server for the mesh and returns false until it has come: poll and call again.
+  /// Binds your own mesh to a baked car: for Vertices.Mapping. False: the asset has not come yet.
+  public bool TryMap(string asset, ref OwnMesh mesh, out uint mapping) {
+    return Check(Native.crumple_map(Open, Id(asset), ref mesh, out mapping)) == 0;
+  }
+
   public bool TryMesh(string asset, out Mesh mesh) { return Check(Native.crumple_mesh(Open, Id(asset), out mesh)) == 0; }
 
   IntPtr Open {
@@ -385,6 +403,7 @@ static class Native {
   [DllImport(library)] public static extern UIntPtr crumple_cars(IntPtr session, [Out] IntPtr[] ids, UIntPtr capacity);
   [DllImport(library)] public static extern int crumple_surface(IntPtr session, IntPtr car, out Surface surface);
   [DllImport(library)] public static extern int crumple_copy(IntPtr session, IntPtr car, ref Vertices vertices);
+  [DllImport(library)] public static extern int crumple_map(IntPtr session, IntPtr asset, ref OwnMesh mesh, out uint mapping);
   [DllImport(library)] public static extern int crumple_mesh(IntPtr session, IntPtr asset, out Mesh mesh);
   [DllImport(library)] public static extern int crumple_add_asset(IntPtr session, byte[] car, UIntPtr size, [Out] byte[] hash);
   [DllImport(library)] public static extern int crumple_health(IntPtr session, out Health health);

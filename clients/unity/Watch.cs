@@ -35,7 +35,7 @@ static class Watch {
         if (session.TrySurface(car, out surface)) alive = surface.Alive;
       }
       vertices.Time = 0;  // the newest
-      if (!session.Copy(car, ref vertices)) throw new Error("the car went while the viewer was stopped");
+      if (!session.Copy(car, ref vertices)) throw new Error("the car was despawned while the viewer was stopped");
       pinned.Free();
 
       double deepest = 0;

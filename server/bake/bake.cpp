@@ -64,6 +64,14 @@ std::string default_attribution(const std::string& input) {
   return is_built_in(input) ? "built-in car of the crumple project, Apache-2.0" : "not stated";
 }
 
+// Of several parts or open edges fTetWild drops parts, takes minutes, or leaves the car hollow.
+Mesher choose_mesher(const ImportedSurface& input, const BakeOptions& options, std::vector<std::string>& report) {
+  if (options.mesher) return *options.mesher;
+  if (input.parts == 1 && input.open_edges == 0) return Mesher::ftetwild;
+  report.push_back("the lattice makes the tets, because the surface is not one closed part");
+  return Mesher::lattice;
+}
+
 // ---- output ------------------------------------------------------------------------------------------------------------
 
 template <class Theirs, class Ours>
@@ -81,6 +89,7 @@ struct Parts {
   const Masses& masses;
   const Regions& regions;
   const SkinResult& skin;
+  std::span<const double> source_to_car;
 };
 
 std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options) {
@@ -104,11 +113,12 @@ std::vector<std::byte> serialise(const Parts& parts, const BakeOptions& options)
   const auto triangle = builder.CreateVector(parts.surface.triangle.data()->data(), 3 * parts.surface.triangle.size());
   const auto skin = structs<schema::Skin>(builder, parts.skin.skin);
   const auto region = builder.CreateVectorOfStrings(parts.regions.name);
+  const auto source_to_car = builder.CreateVector(parts.source_to_car.data(), parts.source_to_car.size());
   const schema::Vec3 center = stored(parts.masses.center), inertia = stored(parts.masses.inertia);
   schema::FinishCarBuffer(
       builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored, tet, gradients,
                                  tet_rest, tet_region, edge, edge_rest, node_first, corner, vertex, triangle, skin, region,
-                                 static_cast<float>(options.mass), &center, &inertia));
+                                 static_cast<float>(options.mass), &center, &inertia, source_to_car));
   const auto* bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {bytes, bytes + builder.GetSize()};
 }
@@ -141,7 +151,7 @@ void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions
 
 }  // namespace
 
-BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given) {
+BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given, std::span<const double> source_to_car) {
   BakeOptions options = given;
   if (options.mass == 0) options.mass = default_mass;
   BakeResult out;
@@ -152,7 +162,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given)
   const Regions regions = paint_regions(tets, surface, options.regions, options.input, out.report);
   const SkinResult skin = build_skin(tets, surface.vertex);
   check_fit(surface, skin, options);
-  const Parts parts{surface, tets, constraints, masses, regions, skin};
+  const Parts parts{surface, tets, constraints, masses, regions, skin, source_to_car};
   report_result(parts, out.report);
   out.car = read_car(serialise(parts, options), options.input);
   out.distance = skin.distance;
@@ -164,11 +174,16 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   if (is_baked_car(options.input)) return rebake(*load_car(options.input), options);
   const ImportedSurface input = read_surface(options);
   std::vector<std::string> report = input.report;
-  const auto make_tets = options.mesher == Mesher::lattice ? fill_with_tets : tetrahedralise;
-  TetMesh tets = options.tets.empty() ? make_tets(input, options.nodes, options.input, progress, report)
-                                      : import_tets(options.tets, input.from_file, report);
+  TetMesh tets;
+  if (!options.tets.empty())
+    tets = import_tets(options.tets, input.from_file, report);
+  else if (choose_mesher(input, options, report) == Mesher::lattice)
+    tets = fill_with_tets(input, options.nodes, options.input, progress, report);
+  else
+    tets = tetrahedralise(input, options.nodes, options.input, progress, report);
   if (progress) progress("constraints, skin and regions");
-  BakeResult out = assemble_car(input.surface, std::move(tets), options);
+  const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> to_car = input.from_file.affine();
+  BakeResult out = assemble_car(input.surface, std::move(tets), options, {to_car.data(), 12});
   out.report.insert(out.report.begin(), report.begin(), report.end());
   const Model& model = out.car->model;  // its triangles are in the order of the surface
   const std::vector<std::string> far = report_far_parts(model.vertex, model.triangle, out.distance, input.named);
@@ -195,7 +210,7 @@ BakeResult rebake(const Car& car, BakeOptions options) {
   if (options.name.empty()) options.name = car.name;
   if (options.attribution.empty()) options.attribution = car.attribution;
   return assemble_car(std::move(surface), {{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}},
-                      options);
+                      options, car.source_to_car);
 }
 
 void write_car(const Car& car, const std::filesystem::path& file) {

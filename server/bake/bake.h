@@ -5,6 +5,7 @@
 
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -20,7 +21,7 @@ enum class Mesher { lattice, ftetwild };
 struct BakeOptions {
   std::string input;                   // a surface mesh file, a baked car, or "built-in" or "built-in:VERTICES"
   size_t nodes = 2'500;                // wanted nodes, reached within 5 % by the lattice, within 15 % by fTetWild
-  Mesher mesher = Mesher::ftetwild;    // makes the tets (make_tets.h)
+  std::optional<Mesher> mesher;        // makes the tets (make_tets.h); none: fTetWild of a closed part, else the lattice
   std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: the mesher makes them
   std::optional<RegionsText> regions;  // none: the default safety cell
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass
@@ -39,8 +40,8 @@ struct BakeResult {
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 BakeResult bake(const BakeOptions&, const Progress&);
 
-// The steps after the tets. Tests and benchmarks call it.
-BakeResult assemble_car(Surface, TetMesh, const BakeOptions&);
+// The steps after the tets. source_to_car: as in Car. Tests and benchmarks call it.
+BakeResult assemble_car(Surface, TetMesh, const BakeOptions&, std::span<const double> source_to_car = {});
 
 bool is_baked_car(const std::filesystem::path& file);
 // Paints a baked car anew: surface, tets and skin stay; regions, anchors and everything that depends on them become what a bake

@@ -127,12 +127,13 @@ TetMesh clean_tets(const std::vector<double>& nodes, const std::vector<int32_t>&
   if (mesh.tet.empty()) refuse(name, "none of its " + std::to_string(t) + " tets has a volume; make the tets again.");
   const size_t flat = t - mesh.tet.size();
   drop_small_parts(mesh, report);
-  if (mesh.tet.empty()) refuse(name, "its tets are loose bits, none with 2 % of the volume; make one connected mesh.");
+  if (mesh.tet.empty())
+    refuse(name, "its tets form loose parts, each with less than 2 % of the volume; make one connected mesh.");
   const size_t unused = drop_unused(mesh);
   if (mesh.node.size() > max_nodes || mesh.tet.size() > max_tets)
     refuse(name, std::to_string(mesh.node.size()) + " nodes and " + std::to_string(mesh.tet.size()) +
-                     " tets are more than the " + std::to_string(max_nodes) + " and " + std::to_string(max_tets) +
-                     " that a tick can carry; use coarser ones.");
+                     " tets are more than a tick can compute (" + std::to_string(max_nodes) + " and " +
+                     std::to_string(max_tets) + "); use a coarser mesh.");
   if (turned) report.push_back(std::to_string(turned) + " tets were inside out: two of their corners are swapped");
   if (flat) report.push_back(std::to_string(flat) + " tets dropped that have no volume (below 1e-12 m^3)");
   if (unused) report.push_back(std::to_string(unused) + " nodes dropped that no tet uses");

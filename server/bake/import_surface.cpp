@@ -254,10 +254,10 @@ Flattened read_file(const std::filesystem::path& file) {
     refuse(name, "it takes longer than " + std::to_string(reader_seconds) + " s to read; join its parts into one mesh.");
   Flattened out;
   if (!text.starts_with("+") || !unpacked(std::string_view(text).substr(1), out))
-    refuse(
-        name,
-        std::string("its reader broke down (") + (WIFSIGNALED(status) ? strsignal(WTERMSIG(status)) : "Assimp") +
-            "), as where nodes are nested thousands deep; join its parts into one mesh, or export it as OBJ, GLB, STL or PLY.");
+    refuse(name, std::string("the program that reads it broke down (") +
+                     (WIFSIGNALED(status) ? strsignal(WTERMSIG(status)) : "Assimp") +
+                     "), perhaps because its nodes are nested thousands deep; join its parts into one mesh, or export it as "
+                     "OBJ, GLB, STL or PLY.");
   return out;
 }
 
@@ -320,7 +320,7 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
   const std::string size =
       text_of(box.sizes().x()) + " x " + text_of(box.sizes().y()) + " x " + text_of(box.sizes().z()) + " m";
   if (longest < shortest_car || longest > longest_car)
-    refuse(name, "it measures " + size + ", and no car's longest side lies outside " + text_of(shortest_car) + " to " +
+    refuse(name, "it measures " + size + ", but the longest side of a car must be from " + text_of(shortest_car) + " to " +
                      text_of(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
                      likely_scale(longest / options.scale) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");
@@ -429,5 +429,7 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
   return out;
 }
+
+std::vector<Eigen::Vector3d> read_vertices(const std::filesystem::path& file) { return read_file(file).position; }
 
 }  // namespace crumple

@@ -44,4 +44,7 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
 ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, const std::vector<uint32_t>& colors,
                               const std::vector<Triangle>& triangles, const ImportOptions&, const std::string& name);
 
+// The vertices of a file in its coordinates, with the transformations of its nodes applied. Throws likewise.
+std::vector<Eigen::Vector3d> read_vertices(const std::filesystem::path& file);
+
 }  // namespace crumple

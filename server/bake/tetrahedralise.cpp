@@ -77,8 +77,8 @@ TetMesh run_once(const ImportedSurface& input, Run& run, const std::string& name
                  [&](const std::string& line) { log(line); });
   if (status != 0)
     throw std::runtime_error(name + ": fTetWild could not make tets of it (exit status " + std::to_string(status) +
-                             ", last word: " + log.last() +
-                             "); repair the surface, or bring tets of your own with --tets FILE.");
+                             ", last line of its output: " + log.last() +
+                             "); repair the surface, or give your own tets with --tets FILE.");
   const auto nodes = read_array<double>(folder.path / "nodes.f64");
   const auto tets = read_array<int32_t>(folder.path / "tets.i32");
   if (tets.empty())

@@ -182,7 +182,7 @@ void check(const Model& m, size_t regions, const std::string& name) {
   demand(edge_lengths_agree(m), "an edge's rest length is not above zero or does not agree with its nodes");
   demand(corners_are_sound(m), "the list of the tets around each node does not agree with the tets");
   demand(below(m.triangle, static_cast<uint32_t>(m.vertex.size())), "a triangle names a vertex that does not exist");
-  demand(skin_is_sound(m), "a vertex hangs on a node that does not exist or its weights are negative or do not sum to 1");
+  demand(skin_is_sound(m), "a vertex follows a node that does not exist, or its weights are negative or do not sum to 1");
   demand(m.mass >= least_mass && m.mass <= most_mass, "its mass is not from 10 kg to 100 t");
   demand(masses_agree(m), "its mass, inertia or centre of mass does not agree with its nodes");
 }
@@ -217,6 +217,11 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   car->name = file.name()->str();
   car->attribution = file.attribution()->str();
   for (const auto* region : *file.region()) car->regions.push_back(region->str());
+  if (file.source_to_car()) car->source_to_car = view<double>(file.source_to_car());
+  const auto& matrix = car->source_to_car;
+  if (!matrix.empty() &&
+      (matrix.size() != 12 || !std::all_of(matrix.begin(), matrix.end(), [](double x) { return std::isfinite(x); })))
+    refuse(name, "its matrix from the source to the car has not 12 finite numbers");
   car->model = {
       .node = view<Vec3>(file.node()),
       .node_mass = view<float>(file.node_mass()),
@@ -242,7 +247,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   car->skin_node = skin_nodes(car->model);
   const auto edges = car->model.edge_rest;
   car->mean_edge = float(std::accumulate(edges.begin(), edges.end(), 0.0) / double(edges.size()));
-  if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours, each next to all others");
+  if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours that are all neighbours of each other");
   car->model.blocks = &car->blocks;
   car->hash = hash_of(bytes.data(), bytes.size());
   return car;

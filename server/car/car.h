@@ -28,9 +28,10 @@ struct Car {
   std::string name;
   std::string attribution;
   std::vector<std::string> regions;
-  std::string hash;                   // 16 hexadecimal digits: XXH64 of the bytes
-  std::span<const std::byte> bytes;   // the whole file
-  std::shared_ptr<const void> owner;  // keeps the bytes alive
+  std::span<const double> source_to_car;  // 12: rows of a 3 x 4 matrix (schema/car.fbs); or empty
+  std::string hash;                       // 16 hexadecimal digits: XXH64 of the bytes
+  std::span<const std::byte> bytes;       // the whole file
+  std::shared_ptr<const void> owner;      // keeps the bytes alive
 };
 
 // Checks every size and index of a baked car's bytes, so no other code needs to. `name` names the bytes in sentences. Throws

@@ -34,16 +34,17 @@ int bake_one(const BakeOptions& options, const std::filesystem::path& output, co
 
 int bake_command(const BakeCommandOptions& options) {
   if (options.nodes.size() > 1 && !options.bake.tets.empty())
-    throw std::runtime_error("--nodes: tets made elsewhere are of one level; give them one by one, or leave --tets out.");
+    throw std::runtime_error("--nodes: --tets gives one level only; bake the levels one by one, or leave --tets out.");
   if (!options.mesher.empty() && !options.bake.tets.empty())
-    throw std::runtime_error("--mesher: tets made elsewhere need none; leave --mesher or --tets out.");
+    throw std::runtime_error("--mesher: the tets of --tets need no mesher; leave --mesher or --tets out.");
   BakeOptions one = options.bake;
   const ImportOptions& import = one.import;
   const bool placed = !import.forward.empty() || !import.up.empty() || import.scale != 1;
   if (is_baked_car(one.input) && (!options.nodes.empty() || !options.mesher.empty() || !one.tets.empty() || placed))
-    throw std::runtime_error(one.input +
-                             ": is a baked car, whose tets and axes stay; give only --regions, --mass, --name and "
-                             "--attribution, or bake from the surface again.");
+    throw std::runtime_error(
+        one.input +
+        ": this is a baked car, so its tets and axes cannot change; give only --regions, --mass, --name and "
+        "--attribution, or bake from the surface again.");
   if (!options.mesher.empty()) one.mesher = options.mesher == "lattice" ? Mesher::lattice : Mesher::ftetwild;
   if (!options.regions.empty()) one.regions = read_regions(options.regions);
   if (options.nodes.empty()) return bake_one(one, options.output, options.pictures);

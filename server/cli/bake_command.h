@@ -11,7 +11,7 @@ namespace crumple {
 struct BakeCommandOptions {
   BakeOptions bake;
   std::vector<size_t> nodes;      // none: the default of BakeOptions; more than one: levels of the car
-  std::string mesher;             // lattice or ftetwild; empty: the default of BakeOptions
+  std::string mesher;             // lattice or ftetwild; empty: as the surface needs
   std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: none
   std::string output;             // the baked car; with several levels NAME-NODES.car
   std::string pictures;           // the folder for a picture of each baked car (cli/render.h); empty: none

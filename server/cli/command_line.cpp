@@ -10,6 +10,7 @@
 
 #include "cli/bake_command.h"
 #include "cli/info.h"
+#include "cli/map.h"
 #include "cli/render.h"
 #include "cli/run_client.h"
 #include "gateway/view.h"
@@ -40,8 +41,9 @@ const CLI::Validator id(
 const CLI::Validator scene(
     [](std::string& text) -> std::string {
       if (is_scene(text)) return "";
-      return is_id(text) ? "\"" + text + "\" is no scene: the keys of baked cars stand under it; give another name"
-                         : "\"" + text + "\" is not an id: use " + id_rule;
+      return is_id(text)
+                 ? "\"" + text + "\" cannot name a scene, because the keys of baked cars begin with it; give another name"
+                 : "\"" + text + "\" is not an id: use " + id_rule;
     },
     "ID");
 
@@ -127,7 +129,7 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
                   "what makes the tets. lattice: for any surface, open, in many parts or with faces turned; it fills the car, "
                   "keeps every part, takes seconds, and gives the same file each time. ftetwild: for a closed surface in one "
                   "part, which its tets follow more closely; of an open one it may take minutes, drop parts, or leave the car "
-                  "hollow. Default: ftetwild")
+                  "hollow. Default: ftetwild for a closed surface in one part, else lattice")
       ->check(CLI::IsMember({"lattice", "ftetwild"}));
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
@@ -258,7 +260,7 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       "crumple view before.mcap after.mcap");
   verb.callback([speed, &options] {
     if (options.files.size() > 1 && !speed->empty())
-      throw CLI::ValidationError("--speed", "is of one recording; beside two the page has a choice of its own");
+      throw CLI::ValidationError("--speed", "applies to one recording only; with two, choose the speed on the page");
   });
   return [&options] { return view(options, stop); };
 }
@@ -292,6 +294,24 @@ Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   verb.add_option("FILE", files, "recordings, baked cars")->required()->check(is_file);
   verb.footer("Example: crumple info recordings/pole.mcap");
   return [&files] { return info(files); };
+}
+
+struct MapOptions {
+  std::string car, mesh;
+};
+
+Verb add_map(CLI::App& app, MapOptions& options) {
+  CLI::App& verb = *app.add_subcommand("map", "Says how well a mesh of a game fits a baked car whose dents it is to show");
+  verb.add_option("CAR", options.car, "baked car")->required()->check(is_file);
+  verb.add_option("MESH", options.mesh, "mesh file, in the coordinates of the file from which the car was baked")
+      ->required()
+      ->check(is_file);
+  verb.footer(
+      "A game maps its own vertices itself, with crumple_map of the client library. This verb shows beforehand whether another "
+      "level "
+      "of detail, or a mesh that was changed after the bake, will follow the dents.\n"
+      "Example: crumple map car.car car_lod1.glb");
+  return [&options] { return map_mesh(options.car, options.mesh); };
 }
 
 Verb add_recover(CLI::App& app, RecoverOptions& options) {
@@ -337,6 +357,7 @@ int run(int argc, const char* const* argv) {
   ViewOptions view_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
+  MapOptions map_options;
   RecoverOptions recover_options;
   ExportOptions export_options;
 
@@ -359,6 +380,7 @@ int run(int argc, const char* const* argv) {
       add_view(app, view_options),
       add_replay(app, replay_options),
       add_info(app, info_files),
+      add_map(app, map_options),
       add_recover(app, recover_options),
       add_export(app, export_options),
       add_render(app)};

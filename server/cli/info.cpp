@@ -92,7 +92,7 @@ void print_recording(const std::string& path) {
   const std::string trouble = trouble_at_end(file.end(), summary.ticks, summary.messages);
   const std::string end = file.cut()             ? "; CUT OFF: whole up to its last tick"
                           : !trouble.empty()     ? "; ENDS EARLY: " + trouble
-                          : file.end().recovered ? "; recovered: there was more when it was recorded"
+                          : file.end().recovered ? "; recovered: the original recording had more"
                                                  : "";
   std::printf("%s: a recording by %s, started %s%s\n", path.c_str(), head.program.c_str(), head.started.c_str(), end.c_str());
   std::printf("  scene %s  %llu ticks at %g a second: %.1f s  quantum %g mm  hosts", head.scene.c_str(), number(summary.ticks),

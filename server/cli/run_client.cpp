@@ -16,8 +16,8 @@ int run_client(const std::string& verb, const std::vector<std::string>& argument
   for (const std::string& argument : arguments) pointers.push_back(argument.c_str());
   pointers.push_back(nullptr);
   execv(program.c_str(), const_cast<char* const*>(pointers.data()));
-  throw std::runtime_error(program + ": " + std::strerror(errno) +
-                           "; it belongs beside crumple, `server/setup crumple-client` builds it");
+  throw std::runtime_error(program + ": it cannot be started (" + std::strerror(errno) +
+                           "); it must be in the folder of crumple, and `server/setup crumple-client` builds it");
 }
 
 }  // namespace crumple

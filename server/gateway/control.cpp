@@ -59,7 +59,7 @@ void Control::pass(const Passed& passed, const std::string& key, std::span<const
 }
 
 void Control::command(const WebRequest& request, const std::string& car) {
-  if (!is_id(car)) return refuse(request.ticket, 400, std::string("not the id of a car: ") + id_rule);
+  if (!is_id(car)) return refuse(request.ticket, 400, std::string("this is not the id of a car: an id has ") + id_rule);
   pass({request.ticket, nullptr}, "car/" + car, {request.data, request.size});
 }
 
@@ -74,10 +74,11 @@ void Control::take(const WebRequest& request) {
   const std::string_view path = request.path;
   if (path.starts_with(command_path)) return command(request, std::string(path.substr(command_path.size())));
   if (!path.starts_with(paint_path))
-    return refuse(request.ticket, 404, "commands go to /command/car/{car}, paint to /paint/{hash}");
+    return refuse(request.ticket, 404,
+                  "nothing is at this path: send commands to /command/car/{car}, and paint to /paint/{hash}");
   const std::string hash(path.substr(paint_path.size()));
   const Bytes car = shown_(hash);
-  if (!car) return refuse(request.ticket, 404, "no car of this scene is of that asset");
+  if (!car) return refuse(request.ticket, 404, "no car of this scene has this asset");
   std::string regions(reinterpret_cast<const char*>(request.data), request.size);
   painting_.emplace(request.ticket, std::async(std::launch::async, paint, car, hash, std::move(regions)));
 }

@@ -56,7 +56,8 @@ void hand_out(Web* web, const std::vector<std::string>& files, const std::atomic
 void RefusalNotice::tell(const Web* web) {
   if (told_ || web_refused(web) == 0) return;
   told_ = true;
-  std::fprintf(stderr, "crumple view: connections are refused: at most 512 are let in at a time, 256 of one address\n");
+  std::fprintf(stderr,
+               "crumple view: connections are refused: the page accepts at most 512 at a time, and 256 from one address\n");
 }
 
 }  // namespace crumple

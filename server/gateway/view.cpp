@@ -58,8 +58,9 @@ int view(const ViewOptions& options, const std::atomic<bool>& stop) {
   need(web_set(doors.web, "alive", "", 0));  // no server, no cars
   const std::string address = web_address(doors.web);
   if (is_public(address))
-    std::fprintf(stderr, "crumple view: whoever reaches %s %s this scene; --listen 127.0.0.1:8080 is for this machine only\n",
-                 address.c_str(), options.control ? "commands" : "sees");
+    std::fprintf(
+        stderr, "crumple view: every browser that reaches %s %s this scene; --listen 127.0.0.1:8080 admits only this machine\n",
+        address.c_str(), options.control ? "commands" : "sees");
   if (options.files.size() > 1) return hand_out(doors.web, options.files, stop), 0;
   std::string scene = options.scene, connect = options.connect;
   if (!options.files.empty()) {

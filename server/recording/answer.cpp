@@ -19,7 +19,8 @@ void answer_asset(Net* net, const NetEvent& query, std::string_view hash, const 
     net_reply(net, query.ticket, piece.data(), piece.size(), 0);
     return;
   }
-  const std::string sentence = "asset " + std::string(hash) + " is not here: give its file to `crumple serve --car`";
+  const std::string sentence =
+      "this server does not have asset " + std::string(hash) + ": give its file to `crumple serve --car`";
   net_reply(net, query.ticket, sentence.data(), sentence.size(), 1);
 }
 

@@ -146,8 +146,8 @@ Shown begin(const std::string& id, Actor& actor, double time, const Export& out)
   for (const auto& car : out.file.cars())
     if (car->hash == actor.surface.asset) shown.car = car;
   if (!shown.car)
-    throw std::runtime_error(out.options.file + ": car " + id + " is made of " + actor.surface.asset +
-                             ", and no such baked car is in the file");
+    throw std::runtime_error(out.options.file + ": car " + id + " has asset " + actor.surface.asset +
+                             ", and the file does not contain this baked car");
   const auto& nodes = shown.car->skin_node;
   for (const Skin& skin : shown.car->model.skin) {
     auto& at = shown.at.emplace_back();
@@ -182,7 +182,7 @@ void show(const std::string& id, Actor& actor, uint64_t tick, double time, Expor
   Shown& shown = *actor.shown;
   if (surface.quanta.size() != 3 * shown.car->skin_node.size())
     throw std::runtime_error(out.options.file + ": tick " + std::to_string(tick) + ": the surface of car " + id +
-                             " has not as many nodes as the skin of its asset");
+                             " and the skin of its asset have different numbers of nodes");
   const bool changed = first || shown.last != surface.quanta;
   Animation::Key key{time - shown.from, actor.pose, first ? 0 : shown.keys.back().shape};
   if (changed) {

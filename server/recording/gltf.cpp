@@ -22,7 +22,8 @@ constexpr int array_buffer = 34962, element_array_buffer = 34963;  // target
 
 std::string quoted(const std::string& text) {
   std::string out;
-  if (!flatbuffers::EscapeString(text.data(), text.size(), &out, true, true)) throw std::runtime_error("a name is not UTF-8");
+  if (!flatbuffers::EscapeString(text.data(), text.size(), &out, true, true))
+    throw std::runtime_error("the attribution of a car (or its id) is not UTF-8: bake the car with another --attribution");
   return out;
 }
 
@@ -114,7 +115,8 @@ void write_glb(const std::string& path, const Animation& animation) {
   std::string json = describe(animation, size);
   json.resize((json.size() + 3) / 4 * 4, ' ');
   const uint64_t whole = 12 + 8 + json.size() + 8 + size;
-  if (whole > UINT32_MAX) throw std::runtime_error(path + ": would be over the 4 GiB of a GLB file: lower --fps");
+  if (whole > UINT32_MAX)
+    throw std::runtime_error(path + ": the file would have over 4 GiB, the most that GLB allows: lower --fps");
   FileWriter file(path);
   put_words(file, {0x46546c67, 2, uint32_t(whole), uint32_t(json.size()), 0x4e4f534a});  // "glTF", version; "JSON"
   file.put(json);

@@ -71,7 +71,7 @@ void answer_until(Playback& playback, Clock::time_point due, const std::atomic<b
         answer_keyframe(playback, events[i], key);
       else
         refuse(playback, events[i],
-               "key " + printable(events[i].key) + " is not answered by the recording of scene " + playback.file.head().scene);
+               "the recording of scene " + playback.file.head().scene + " does not answer key " + printable(events[i].key));
     }
   }
 }

@@ -117,11 +117,12 @@ RecordingEnd end_of(Reader* reader) {
 
 std::string trouble_at_end(const RecordingEnd& end, uint64_t ticks, uint64_t messages) {
   if (!end.there && end.expected)
-    return "it lacks its end, which says how many ticks there were: it was cut off and then closed by another program, and "
-           "`crumple recover` makes a whole one of what is left";
+    return "it lacks its end, which says how many ticks were recorded: it was cut off, and another program closed it; "
+           "`crumple recover` makes a whole recording of the rest";
   if (!end.there || (ticks >= end.ticks && messages >= end.messages)) return "";
-  return std::to_string(end.ticks) + " ticks and " + std::to_string(end.messages) + " messages were recorded, and only " +
-         std::to_string(ticks) + " and " + std::to_string(messages) + " are in the file: the others were taken out";
+  return std::to_string(end.ticks) + " ticks and " + std::to_string(end.messages) +
+         " messages were recorded, but the file has only " + std::to_string(ticks) + " and " + std::to_string(messages) +
+         ": a program removed the others";
 }
 
 void write_end(Recorder* recorder, const RecordingEnd& end) {
@@ -186,8 +187,8 @@ int Recording::refuse(const std::string& why) {
 int Recording::id_of(const std::string& key, Channel channel) {
   if (const auto at = channels_.find(key); at != channels_.end()) return at->second;
   if (channels_.size() >= bounds_.most_channels)
-    return refuse("cars and hosts came with more than " + std::to_string(bounds_.most_channels) +
-                  " keys before it could go on in another file; name cars and hosts again that are gone");
+    return refuse("cars and hosts have used more than " + std::to_string(bounds_.most_channels) +
+                  " keys, and the server could not begin the next file; give new cars and hosts the ids of old ones");
   const char* table = table_of(channel);
   auto schema = schemas_.find(table);
   if (schema == schemas_.end()) {
@@ -207,7 +208,7 @@ bool Recording::write(const std::string& key, Channel channel, uint64_t tick, ui
     id = id_of(key, channel);
   else
     refuse("its index takes " + std::to_string(bounds_.most_index >> 20) +
-           " MiB of memory, and it could not go on in another file; give --record a folder where one can be made");
+           " MiB of memory, and the server could not begin the next file; give --record a folder where it can make files");
   if (id < 0) {
     ++refused_;
     return false;
@@ -280,8 +281,8 @@ void RecordingReader::read_metadata() {
     visit_limits(head_.limits, [&](const char* key, auto& value) { good &= read_number(values[key], value); });
     good &= is_scene(head_.scene);
     if (!good)
-      throw std::runtime_error(path_ + ": its metadata lacks the scene, the rate, the quantum or a limit: it was recorded by " +
-                               head_.program + ", this is " + program_name + ": use that one");
+      throw std::runtime_error(path_ + ": its metadata lacks the scene, the rate, the quantum or a limit; " + head_.program +
+                               " recorded it, and this is " + program_name + ": use the program that recorded it");
     root_ = root_of(head_.scene);
     return;
   }
@@ -289,9 +290,9 @@ void RecordingReader::read_metadata() {
   const uint8_t* bytes;
   size_t size;
   if (reader_metadata(reader_, 0, &name, &pairs) != 1 && reader_attachment(reader_, 0, &name, &type, &bytes, &size) != 1)
-    throw std::runtime_error(path_ +
-                             ": is empty: its server was killed before it recorded, perhaps while it stood by; delete it");
-  throw std::runtime_error(path_ + ": has no metadata \"crumple\": it is not a recording of `crumple serve --record`");
+    throw std::runtime_error(
+        path_ + ": the file is empty, because its server was killed before it recorded, perhaps as a standby; delete the file");
+  throw std::runtime_error(path_ + ": the file has no metadata \"crumple\": it is not a recording of `crumple serve --record`");
 }
 
 bool RecordingReader::next(Item& item) {

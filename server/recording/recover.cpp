@@ -51,8 +51,8 @@ double rate_of(Reader* reader, const std::string& path) {
   for (uint32_t i = 0; reader_metadata(reader, i, &name, &pairs) == 1; ++i)
     for (; std::strcmp(name, "crumple") == 0 && pairs[0]; pairs += 2)
       if (std::strcmp(pairs[0], "rate") == 0) return std::atof(pairs[1]);
-  throw std::runtime_error(path +
-                           ": has no metadata \"crumple\" with a rate: it is not a recording of `crumple serve --record`");
+  throw std::runtime_error(
+      path + ": the file has no metadata \"crumple\" with a rate: it is not a recording of `crumple serve --record`");
 }
 
 Found survey(Reader* reader) {
@@ -118,11 +118,11 @@ void copy(Reader* reader, uint32_t last, RecordingEnd end, const std::string& pa
 int recover(const RecoverOptions& options) {
   std::error_code none;
   if (std::filesystem::equivalent(options.input, options.output, none))
-    throw std::runtime_error(options.output + ": is the input itself: give -o another file");
+    throw std::runtime_error(options.output + ": this is the input file: give -o another file");
   const ReaderHandle reader = open(options.input);
   const double rate = rate_of(reader.get(), options.input);
   const Found found = survey(reader.get());
-  if (found.ticks == 0) throw std::runtime_error(options.input + ": holds no whole tick: there is nothing to recover");
+  if (found.ticks == 0) throw std::runtime_error(options.input + ": the file has no whole tick: there is nothing to recover");
   const bool cut = reader_cut(reader.get()) == 1;
   const RecordingEnd end = end_of(reader.get());
   const std::string trouble = cut || !found.damage.empty() ? "" : trouble_at_end(end, found.ticks, found.messages);
@@ -133,13 +133,13 @@ int recover(const RecoverOptions& options) {
 
   std::printf("%s: %llu ticks (%.1f s) of %s, as a whole recording\n", options.output.c_str(),
               static_cast<unsigned long long>(found.ticks), static_cast<double>(found.ticks) / rate, options.input.c_str());
-  if (!found.damage.empty()) std::printf("lost: what came after tick %u; %s\n", found.last, found.damage.c_str());
-  if (cut) std::printf("lost: what came after tick %u and had not reached the file, a second or so\n", found.last);
+  if (!found.damage.empty()) std::printf("lost: everything after tick %u; %s\n", found.last, found.damage.c_str());
+  if (cut) std::printf("lost: everything after tick %u that had not reached the file, about a second\n", found.last);
   if (!trouble.empty()) std::printf("lost: %s\n", trouble.c_str());
   if (found.after > 0)
-    std::printf("left out: %llu messages of tick %u, whose end is not in the file\n",
+    std::printf("left out: %llu messages of tick %u, because the end of this tick is not in the file\n",
                 static_cast<unsigned long long>(found.after), found.last + 1);
-  if (whole) std::printf("nothing was lost: it was whole already\n");
+  if (whole) std::printf("nothing was lost: the recording was whole already\n");
   return 0;
 }
 

@@ -156,7 +156,7 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
       if (!same || !key.empty())
         return differ(
             verdict, end.tick,
-            (key.empty() ? "" : " in " + key) + (same ? "; the world's hash is the same" : "; the world's hash is another"));
+            (key.empty() ? "" : " in " + key) + (same ? "; the world's hash is the same" : "; the world's hash differs"));
       if (end.lost_outputs > 0 && verdict.outputs_lost == 0) verdict.lost_in = end.tick;
       verdict.outputs_lost += end.lost_outputs;
       ++verdict.identical;
@@ -167,14 +167,14 @@ void verify(RecordingReader& file, int threads, const std::atomic<bool>& stop, V
 
 std::string not_compared(const Verdict& verdict) {
   std::string out = "; not compared: times";
-  if (verdict.health) out += ", what health says but for cars, hosts and obstacles";
-  if (verdict.before) out += ", what hosts had told before";
+  if (verdict.health) out += ", health except its counts of cars, hosts and obstacles";
+  if (verdict.before) out += ", messages that hosts sent before the first tick";
   if (verdict.inputs) out += ", whether inputs are missing";
   if (verdict.others > 0)
     out +=
         ", " + std::to_string(verdict.others) + " messages of another program, the first on " + printable(verdict.first_other);
   if (verdict.behind > 0)
-    out += ", " + std::to_string(verdict.behind) + " messages of a tick whose end is not in the file, the first on " +
+    out += ", " + std::to_string(verdict.behind) + " messages of a tick without an end, the first on " +
            printable(verdict.first_behind);
   return out;
 }
@@ -185,33 +185,33 @@ std::string sentence_of(const RecordingReader& file, const Verdict& verdict, con
   good = false;
   if (verdict.lost)
     return ticks + " ticks identical; tick " + std::to_string(verdict.lost) +
-           " lost inputs when it was recorded: what follows cannot be verified";
+           " lost inputs when it was recorded: it and the later ticks cannot be verified";
   if (verdict.differs)
-    return "tick " + std::to_string(verdict.differs) + " differs" + verdict.how + ", after " + ticks +
-           " identical ones; recorded by " + recorder +
-           (recorder == program_name ? ", as this is: the file was changed, or this machine computes otherwise"
-                                     : std::string(", this is ") + program_name + ": verify it with that one");
+    return "tick " + std::to_string(verdict.differs) + " differs" + verdict.how + ", after " + ticks + " identical ones; " +
+           recorder + " recorded it, and this is " +
+           (recorder == program_name ? "the same program: the file was changed, or this machine computes differently"
+                                     : std::string(program_name) + ": verify it with the program that recorded it");
   const RecordingEnd end = file.end();
   std::string trouble = file.cut() ? "" : trouble_at_end(end, verdict.identical, verdict.messages);
   if (verdict.identical == 0)
-    return "holds no whole tick, there is nothing to verify" + std::string(file.cut() ? "; the file was cut off" : "");
+    return "the file has no whole tick, so there is nothing to verify" +
+           std::string(file.cut() ? "; the file was cut off" : "");
   if (trouble.empty() && verdict.outputs_lost > 0)
-    trouble = "of what they gave " + std::to_string(verdict.outputs_lost) +
-              " messages were lost when it was recorded, the first in tick " + std::to_string(verdict.lost_in);
+    trouble = "the recording lost " + std::to_string(verdict.outputs_lost) + " messages of these ticks, the first in tick " +
+              std::to_string(verdict.lost_in);
   if (trouble.empty() && verdict.behind > 0 && !file.cut())
-    trouble = "behind the last of them stand " + std::to_string(verdict.behind) +
-              " messages of a tick that has no end, the first on " + printable(verdict.first_behind);
+    trouble = "after them the file has " + std::to_string(verdict.behind) +
+              " messages of a tick without an end, the first on " + printable(verdict.first_behind);
   good = trouble.empty();
   if (!good || file.cut())
     return "the first " + ticks + (end.ticks > verdict.identical ? " of " + std::to_string(end.ticks) : "") +
            " ticks are identical" + time + "; " +
-           (good ? "the file was cut off, or is still being written: what followed is not in it" + not_compared(verdict)
-                 : trouble);
+           (good ? "the file was cut off, or is still being written: it has no later ticks" + not_compared(verdict) : trouble);
   std::string note;
   if (end.recovered)
-    note = "; recovered: what else there was when it was recorded is not in it";
+    note = "; recovered: the original recording had more";
   else if (!end.there)
-    note = "; recorded by an older program: what may be missing at its end cannot be seen";
+    note = "; an older program recorded it, so nothing shows whether its end is missing";
   return "every tick identical: " + ticks + " ticks" + time + note + not_compared(verdict);
 }
 

@@ -172,7 +172,7 @@ void Series::take_next() {
     recording = begin(next.recorder);
   } catch (const std::exception& error) {
     done_.set_value({std::move(next.recorder), nullptr, ""});
-    return options_.tell(std::string(error.what()) + "; goes on in " + file_);
+    return options_.tell(std::string(error.what()) + "; the server goes on in " + file_);
   }
   tell();
   lost_before_ = lost();
@@ -189,15 +189,16 @@ void Series::go_on(Clock::time_point now) {
   not_before_ = now + options_.shortest;
   if (is_closing())
     return tell_once((is_opening() ? options_.pattern + ": the disk has not opened the next file yet"
-                                   : file_before_ + ": the disk has not taken its end yet") +
-                     "; goes on in " + file_);
+                                   : file_before_ + ": the disk has not written its end yet") +
+                     "; the server goes on in " + file_);
   if (closing_.valid()) tell_closed(closing_.get());
   if (options_.minutes > 0) until_ = now + minutes(options_.minutes);
   try {
     open_next();
   } catch (const std::system_error& error) {
     opening_ = {};
-    options_.tell(std::string("there is no thread to open the next file (") + error.what() + "); goes on in " + file_);
+    options_.tell(std::string("no thread can be started to open the next file (") + error.what() + "); the server goes on in " +
+                  file_);
   }
 }
 
@@ -223,8 +224,8 @@ void Series::wait_for_end(const std::string& file, std::future<std::string>& clo
   if (!closing.valid()) return;
   tell_closed(closing.wait_until(until) == std::future_status::ready
                   ? closing.get()
-                  : file + ": the disk has not taken its end within " + std::to_string(longest_end.count()) +
-                        " s: `crumple recover` makes a whole recording of what it has");
+                  : file + ": the disk has not written its end within " + std::to_string(longest_end.count()) +
+                        " s: `crumple recover` makes a whole recording of the part that it has");
 }
 
 bool Series::close() {
@@ -242,7 +243,7 @@ bool Series::close() {
       return std::string();
     });
   } catch (const std::system_error& error) {  // no thread: the recording was closed here
-    tell_closed(file_ + ": whether it is whole could not be seen (" + error.what() + "): crumple info says it");
+    tell_closed(file_ + ": the server could not check whether it is whole (" + error.what() + "): `crumple info` does");
   }
   wait_for_end(file_before_, closing_, until);
   wait_for_end(file_, closing, until);

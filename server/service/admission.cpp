@@ -61,9 +61,9 @@ void Admission::take_query(Net* net, const NetEvent& event, const Key& key) {
                                 Channel::latest, Channel::world,   Channel::piece};
   if (std::find(asked.begin(), asked.end(), key.channel) == asked.end()) {
     ++keys_refused_;
-    return refuse_query(
-        net, event.ticket,
-        "nothing is asked under " + printable(event.key) + ": schema/README.md lists the keys; ids are " + id_rule);
+    return refuse_query(net, event.ticket,
+                        "the server answers no query with the key " + printable(event.key) +
+                            ": schema/README.md lists the keys; an id has " + id_rule);
   }
   std::deque<Query>& line = lines_[size_t(line_of(key.channel))];
   if (line.size() >= query_limit || queries_bytes_ + event.size > query_bytes_limit)

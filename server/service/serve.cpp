@@ -126,7 +126,8 @@ void open_network(Server& server) {
     need(net_open("client", nullptr, options.connect.c_str(), network, connect_ms, &server.net));
   } else {
     if (!network && is_public(options.listen))
-      std::fprintf(stderr, "crumple serve: whoever reaches %s may command this scene; --network FILE says who may\n",
+      std::fprintf(stderr,
+                   "crumple serve: every program that reaches %s may command this scene; --network FILE can restrict this\n",
                    options.listen.c_str());
     need(net_open("peer", options.listen.c_str(), nullptr, network, 0, &server.net));
   }
@@ -151,7 +152,7 @@ bool take_over(Server& server, const std::atomic<bool>& stop) {
     if (server.recording) server.recording->begin(Clock::now());
   } catch (const std::exception& error) {
     server.recording.reset();
-    std::fprintf(stderr, "crumple serve: %s; goes on without\n", error.what());
+    std::fprintf(stderr, "crumple serve: %s; the server goes on without a recording\n", error.what());
   }
   return true;
 }
@@ -287,7 +288,7 @@ int finish(Server& server) {
               static_cast<unsigned long long>(tick_count(*server.world)), static_cast<unsigned long long>(server.late),
               static_cast<unsigned long long>(refusal_count(*server.world)));
   if (server.replaced)
-    std::fprintf(stderr, "crumple serve: another has taken over scene %s: this server ends here\n",
+    std::fprintf(stderr, "crumple serve: another server has taken over scene %s: this server ends\n",
                  server.options.scene.c_str());
   if (!server.recording) return server.replaced ? 1 : 0;
   if (!server.recording->close() || server.replaced) return 1;
@@ -302,7 +303,7 @@ int serve(const ServeOptions& options, const std::atomic<bool>& stop) {
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   if (options.standby && options.connect.empty())
-    throw std::runtime_error("--standby needs --connect: it meets the scene's server at a router");
+    throw std::runtime_error("--standby needs --connect: give the router that the scene's server is connected to");
   Server server(options);
   make_scene(server);
   if (options.check) return print_start(server), 0;

@@ -96,7 +96,7 @@ void ask_later(Standby& standby) {
 }
 
 void give_up_fetching(Standby& standby, const std::string& why) {
-  std::fprintf(stderr, "crumple serve: cannot hold the owner's world: %s\n", why.c_str());
+  std::fprintf(stderr, "crumple serve: this standby cannot load the owner's world: %s; it will ask again\n", why.c_str());
   standby.asking = 0;
   standby.pieces = {};
   ask_later(standby);
@@ -142,7 +142,8 @@ void follow(Standby& standby) {
         same = hash(standby.world) == inputs->hash;
       }
       if (!same) {
-        std::fprintf(stderr, "crumple serve: out of step with the owner at its tick %llu: asks for its world again\n",
+        std::fprintf(stderr,
+                     "crumple serve: this standby differs from the owner at tick %llu: it asks for the owner's world again\n",
                      static_cast<unsigned long long>(inputs->tick));
         standby.same = false;
         ask_later(standby);
@@ -223,21 +224,23 @@ void WorldAnswers::answer(Net* net, const NetEvent& query, const World& world) {
   const auto refuse = [&](const std::string& sentence) { net_reply(net, query.ticket, sentence.data(), sentence.size(), 1); };
   const auto now = Clock::now();
   uint64_t offset = 0, asker = 0;
-  if (query.size < sizeof offset + sizeof asker) return refuse("a question for the world that is none");
+  if (query.size < sizeof offset + sizeof asker) return refuse("this query for the owner's world is too short");
   std::memcpy(&offset, query.data, sizeof offset);
   std::memcpy(&asker, query.data + sizeof offset, sizeof asker);
   const std::string program(reinterpret_cast<const char*>(query.data) + 2 * sizeof(uint64_t),
                             query.size - 2 * sizeof(uint64_t));
-  if (program != program_name) return refuse(std::string("the owner is ") + program_name + ": stand by with the same program");
+  if (program != program_name)
+    return refuse(std::string("the owner runs ") + program_name + ": start the standby with the same program");
   std::erase_if(snapshots_, [&](const auto& each) { return now - each.second.asked > snapshot_kept; });
   if (offset == 0) {
     if (now - last_ < snapshot_pause || snapshots_.size() >= snapshots_most)
-      return refuse("the owner was asked for its world just now");
+      return refuse("the owner was asked for its world just now: ask again later");
     last_ = now;
     snapshots_[asker] = {now, save_world(world)};
   }
   const auto found = snapshots_.find(asker);
-  if (found == snapshots_.end() || offset > found->second.bytes.size()) return refuse("this snapshot of the world is gone");
+  if (found == snapshots_.end() || offset > found->second.bytes.size())
+    return refuse("the owner no longer has this snapshot of its world: ask for a new one");
   found->second.asked = now;
   const std::span rest = std::span(found->second.bytes).subspan(offset);
   const auto piece = rest.first(std::min(rest.size(), world_piece));

@@ -111,8 +111,8 @@ std::optional<std::string> refuse_fields(const Model& model, const DeformableSta
       const size_t should = count_of(model, field.per);
       const bool fits = value.size() == should;
       if (!fits) {
-        refusal = name + " has " + std::to_string(value.size()) + " entries and the car's " + std::to_string(should) +
-                  ": it is of another car";
+        refusal = name + " has " + std::to_string(value.size()) + " entries, but the car needs " + std::to_string(should) +
+                  ": the state is of another car";
       }
       const auto is_wrong = [&](const auto& entry) {
         const auto* numbers = reinterpret_cast<const float*>(&entry);
@@ -120,15 +120,15 @@ std::optional<std::string> refuse_fields(const Model& model, const DeformableSta
       };
       const auto found = std::find_if(value.begin(), value.end(), is_wrong);
       if (fits && found != value.end()) {
-        refusal = name + " has a number that is not finite, or negative where none may be, in entry " +
+        refusal = name + " has a number that is not finite, or negative where this is not allowed, in entry " +
                   std::to_string(found - value.begin());
       }
     } else if constexpr (std::is_same_v<decltype(value), const AndersonHistory&>) {
-      if (!is_sound(value, model.node.size())) refusal = name + " is none that the solver makes";
+      if (!is_sound(value, model.node.size())) refusal = name + " is not one that the solver makes";
     } else if constexpr (std::is_same_v<decltype(value), const Eigen::Vector3d&>) {
       if (!value.allFinite()) refusal = name + " is not finite";
     } else if (!std::isfinite(double(value)) || (field.traits.not_negative && double(value) < 0)) {
-      refusal = name + " is not finite, or negative where it may not be";
+      refusal = name + " is not finite, or negative where this is not allowed";
     }
   });
   return refusal;

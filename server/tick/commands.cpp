@@ -28,7 +28,8 @@ Mass mass_of(const SpawnOrder& order, const Model& model) {
 
 Refusal unknown_asset(const std::string& order, const std::string& asset) {
   return {Reason::unknown_asset,
-          order + ": asset " + asset + " is not one of this server's baked cars; `crumple info CAR` prints the hash of one"};
+          order + ": asset " + asset +
+              " is not one of this server's baked cars; `crumple info CAR` prints the hash of a baked car"};
 }
 
 std::optional<Refusal> spawn(World& world, const std::string& id, const SpawnOrder& order) {
@@ -97,8 +98,9 @@ std::optional<Refusal> obey_order(World& world, const Target& target, LoadOrder&
   const Levels& levels = *target.car.levels;
   const auto level = std::find_if(levels.begin(), levels.end(), [&](const auto& car) { return car->hash == order.asset; });
   if (level == levels.end()) {
-    return Refusal{Reason::bad_state, "load.state.asset is " + order.asset + "; car " + target.id + " is of asset " +
-                                          levels.front()->hash + (levels.size() > 1 ? ", and it is no level of it" : "")};
+    return Refusal{Reason::bad_state, "load.state.asset is " + order.asset + "; car " + target.id + " has asset " +
+                                          levels.front()->hash +
+                                          (levels.size() > 1 ? ", and the two are not levels of one car" : "")};
   }
   const Model& model = (*level)->model;
   if (auto sentence = refuse_state(model, order.state)) return Refusal{Reason::bad_state, "load.state: " + *sentence};

@@ -38,8 +38,8 @@ std::optional<Refusal> take_poses(World& world, const std::string& host_id, cons
       count(world,
             {Reason::unknown_car, "poses: car " + intent.car + " of host " + host_id + " does not live here; spawn it first"});
     } else if (car->second.host != host_id) {
-      count(world,
-            {Reason::not_owner, "poses: car " + intent.car + " is host " + car->second.host + "'s, not " + host_id + "'s"});
+      count(world, {Reason::not_owner,
+                    "poses: car " + intent.car + " belongs to host " + car->second.host + ", not to host " + host_id});
     } else {
       car->second.idle = false;
       car->second.importance = intent.importance;

@@ -75,7 +75,7 @@ void check_id(const std::string& id) {
 }
 
 void check(const World& world, const Instance& car) {
-  if (!world.hosts.contains(car.host)) refuse("a car is of host " + car.host + ", which it does not have");
+  if (!world.hosts.contains(car.host)) refuse("a car belongs to host " + car.host + ", but the snapshot has no such host");
   if (car.parameters.solver > Solver::classic) refuse("a car has neither of the two solvers");
   if (const auto sentence = out_of_range(car.parameters)) refuse(*sentence);
   const Mass& mass = car.mass;
@@ -91,11 +91,11 @@ void check(const World& world, const Instance& car) {
     good = good && told.keyframe.size() == shown && told.latest.size() == shown;
     good = good && told.keyframe_tick <= told.tick && told.tick <= world.tick;
   }
-  if (!good) refuse("a number or a size of a car is one that none can have");
+  if (!good) refuse("a number or a size of a car is out of its range");
 }
 
 void check(const World& world) {
-  if (world.tick >= latest_tick) refuse("it is of tick " + std::to_string(world.tick));
+  if (world.tick >= latest_tick) refuse("its tick " + std::to_string(world.tick) + " is too large");
   if (world.hosts.size() > world.limits.hosts || world.cars.size() > world.limits.cars) refuse("it has too many cars or hosts");
   std::map<std::string, uint64_t> cars;
   uint64_t obstacles = 0;
@@ -108,17 +108,17 @@ void check(const World& world) {
   }
   for (const auto& [id, host] : world.hosts) {
     check_id(id);
-    if (host.cars != cars[id]) refuse("host " + id + " has not as many cars as it says");
+    if (host.cars != cars[id]) refuse("host " + id + " states another number of cars than it has");
     obstacles += host.obstacles;
   }
-  if (obstacles != world.obstacles.size()) refuse("hosts have not as many obstacles as they say");
+  if (obstacles != world.obstacles.size()) refuse("the hosts state another number of obstacles than they have");
   for (const Obstacle& obstacle : world.obstacles) {
     bool good = finite(obstacle.pose) && finite(obstacle.velocity) && finite(obstacle.angular_velocity);
     good = good && not_negative(obstacle.half_length, obstacle.radius, obstacle.friction) && obstacle.reach >= 0 &&
            obstacle.width >= 0;
     for (const Plane& face : obstacle.faces)
       good = good && std::abs(face.normal.norm() - 1) < 1e-3f && std::isfinite(face.offset);
-    if (!good) refuse("an obstacle has a number that none can have");
+    if (!good) refuse("a number of an obstacle is out of its range");
   }
 }
 
@@ -217,7 +217,7 @@ bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
     uint64_t cars = 0, sum = 0;
     field(file, version);
     if (version != format)
-      throw std::runtime_error("the snapshot of the world is of another version of crumple: use the same on both sides");
+      throw std::runtime_error("another version of crumple made the snapshot of the world: use the same version on both sides");
     field(file, rate, quantum, sum);
     if (rate != world.rate || quantum != world.quantum)
       throw std::runtime_error("the snapshot of the world has another rate or quantum: give --rate " + std::to_string(rate) +
@@ -229,13 +229,13 @@ bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
     std::sort(assets.begin(), assets.end());
     if (assets != assets_of(world))
       throw std::runtime_error(
-          "the snapshot of the world is of a server with other cars: give the same files to --car here too");
+          "the server that made the snapshot of the world has other cars: give the same files to --car here too");
     uint64_t given = 0;
     field(file, given);
     for (uint64_t k = 0; k < given; ++k) {
       std::vector<std::byte> car;
       field(file, car);
-      if (upload(world, read_car(car, "the snapshot's asset"))) refuse("it has more assets than were given");
+      if (upload(world, read_car(car, "the snapshot's asset"))) refuse("it has more uploaded cars than the limits allow");
     }
     field(file, world);
     field(file, cars);
@@ -252,7 +252,7 @@ bool load_unsummed_world(std::span<const std::byte> bytes, World& world) {
 void load_world(std::span<const std::byte> bytes, World& world) {
   if (load_unsummed_world(bytes, world)) return;
   clear(world);
-  refuse("its sum does not match");
+  refuse("its checksum does not match");
 }
 
 }  // namespace crumple

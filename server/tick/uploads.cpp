@@ -38,7 +38,7 @@ std::optional<Refusal> upload(World& world, std::shared_ptr<const Car> car) {
     if (unused == world.uploaded.end()) {
       return Refusal{Reason::too_large, "asset: there is no room for one more baked car of " +
                                             std::to_string(car->bytes.size()) +
-                                            " bytes beside those that are driven; despawn another first"};
+                                            " bytes, because cars use all others; despawn another car first"};
     }
     world.uploaded.erase(unused);
   }

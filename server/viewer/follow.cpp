@@ -112,7 +112,7 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
     car.surface = {};
     begin_anew(all, car);
     weigh(all, car);
-    outcome = {Applied::refused, "the surfaces of all followed cars would take over 1 GiB"};
+    outcome = {Applied::refused, "the surfaces of all followed cars would need more than 1 GiB"};
     return {&id, &car, std::move(outcome), asked_for, false};
   }
   const Applied applied = outcome.applied;

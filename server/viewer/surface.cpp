@@ -80,7 +80,7 @@ Outcome apply_delta(std::span<const uint8_t> bytes, Surface& surface) {
   if (surface.key.empty() || message->keyframe() > surface.key_tick) return {Applied::missing_keyframe, {}};
   if (message->keyframe() < surface.key_tick) return {Applied::old, {}};
   if (surface.key.size() != size_t{3} * message->node_count())
-    return refuse("node_count of a delta is not that of its keyframe");
+    return refuse("node_count of a delta differs from node_count of its keyframe");
   if (message->tick() < surface.delta_parts.tick && !surface.delta_parts.quanta.empty()) return {Applied::old, {}};
 
   gather(message->tick(), message->hash(), surface.key.size(), &surface.key, surface.delta_parts);

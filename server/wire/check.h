@@ -56,7 +56,8 @@ const Table* checked(std::span<const std::byte> bytes, const char* what, const c
   if (const auto* root = crumple::verified<Table>(bytes, 2 * tables + 8)) return root;
   check.refuse(Reason::malformed, {}, what,
                "(" + std::to_string(bytes.size()) + " bytes) is not a " + table +
-                   " table of schema/message.fbs: cut off, an offset astray, a required field missing, or too many tables");
+                   " table of schema/message.fbs: it is cut off, an offset is wrong, a required field is missing, or it has "
+                   "too many tables");
   return nullptr;
 }
 

@@ -223,7 +223,7 @@ std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& li
   }
   if (threes > hull_threes_limit) {
     check.refuse(Reason::too_many_obstacles, {}, "hulls",
-                 "need " + std::to_string(threes) + " threes of points to be tried; " + std::to_string(hull_threes_limit) +
+                 "need " + std::to_string(threes) + " triples of points to be tried; " + std::to_string(hull_threes_limit) +
                      " are allowed: give fewer hulls, or hulls of fewer points");
     return check.refusal;
   }

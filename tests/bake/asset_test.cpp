@@ -20,6 +20,7 @@
 #include "bake/paint_regions.h"
 #include "box_car.h"
 #include "car/build_skin.h"
+#include "cli/map.h"
 #include "refusal.h"
 
 namespace crumple {
@@ -791,6 +792,59 @@ TEST(Bake, OfABakedCarPaintsAsTheFirstBakeWouldHave) {
 
 TEST(Bake, SaysWhereACarCannotBeWritten) {
   expect_sentence(refusal([] { write_car(*box_car(), "/nowhere/at/all.car"); }), "all.car", "cannot be written");
+}
+
+TEST(Bake, ChoosesTheMesherByTheSurface) {
+  const Files files;
+  const auto report_of = [&](const Surface& surface) {
+    BakeOptions options;
+    options.input = files.write("body.obj", as_obj(surface));
+    options.nodes = 150;
+    std::string report;
+    for (const std::string& line : bake(options, {}).report) report += line + "\n";
+    return report;
+  };
+  Surface box = box_surface({3, 2, 1});
+  EXPECT_EQ(report_of(box).find("lattice"), std::string::npos);
+  box.triangle.pop_back();
+  EXPECT_NE(report_of(box).find("the lattice makes the tets"), std::string::npos) << "it has a hole";
+}
+
+// ---- meshes of a game ----------------------------------------------------------------------------------------------------
+
+TEST(Map, SaysHowWellAMeshFitsTheCarThatWasBakedFromItsFile) {
+  const Files files;
+  const auto source = [&](const char* name, BoxCells cells, const Eigen::Affine3f& placed) {
+    Surface box = box_surface(cells);
+    for (Vec3& v : box.vertex) v = placed * v;
+    return files.write(name, as_obj(box)).string();
+  };
+  const Eigen::Affine3f here(Eigen::Translation3f(3, -2, 7)), there = here * Eigen::Translation3f(0.4f, 0.3f, 0.5f);
+  const std::string full = source("full.obj", {18, 8, 6}, here), coarse = source("coarse.obj", {3, 2, 1}, here),
+                    moved = source("moved.obj", {18, 8, 6}, there), car = (files.folder.path / "box.car").string();
+  BakeOptions options;
+  options.input = full;
+  options.nodes = 300;
+  options.mesher = Mesher::lattice;
+  write_car(*bake(options, {}).car, car);
+  const auto mapped = [&](const std::string& mesh, int code) {
+    testing::internal::CaptureStdout();
+    testing::internal::CaptureStderr();
+    EXPECT_EQ(map_mesh(car, mesh), code);
+    return testing::internal::GetCapturedStdout() + testing::internal::GetCapturedStderr();
+  };
+  const size_t vertices = 3 * box_surface({18, 8, 6}).triangle.size();  // an OBJ file names them anew for each triangle
+  const std::string exact = mapped(full, 0), level = mapped(coarse, 0), other = mapped(moved, 1);
+  EXPECT_NE(exact.find(std::to_string(vertices) + " vertices; " + std::to_string(vertices) + " lie on"), exact.npos) << exact;
+  EXPECT_NE(level.find("at most 0.0 mm"), level.npos) << "a coarser level of the same box: " << level;
+  EXPECT_NE(other.find("other coordinates"), other.npos) << other;
+
+  // Painted anew, the car still knows its source. A car that was made from no file does not.
+  BakeOptions again;
+  again.input = car;
+  EXPECT_EQ(bake(again, {}).car->source_to_car.size(), 12u);
+  write_car(*box_car(), car);
+  expect_sentence(refusal([&] { map_mesh(car, full); }), "box.car", "bake it again");
 }
 
 }  // namespace

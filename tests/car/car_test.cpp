@@ -141,7 +141,7 @@ TEST(Car, ChecksEveryList) {
   refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 1, UINT32_MAX), "tets around each node");
   refused(spoiled<uint32_t>([](auto& m) { return m.corner; }, 5, 47), "tets around each node");  // a tet of another node
   refused(spoiled<uint32_t>([](auto& m) { return m.triangle; }, 0, 12), "triangle");
-  refused(spoiled<uint32_t>([](auto& m) { return m.skin; }, 1, 12), "vertex hangs");
+  refused(spoiled<uint32_t>([](auto& m) { return m.skin; }, 1, 12), "vertex follows");
   refused(spoiled<float>([](auto& m) { return m.skin; }, 4, 0.9f), "sum to 1");
   refused(spoiled<float>([](auto& m) { return m.skin; }, 4, infinity), "sum to 1");
 }

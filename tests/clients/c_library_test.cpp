@@ -39,7 +39,7 @@ const std::vector<Call>& calls() {
   static CrumpleObstacle obstacle{1, CRUMPLE_BOX, {1, 1, 1}, nullptr, 0, {{0, 0, 0}, {0, 0, 0, 1}}, {}, {}, 1};
   static CrumpleReaction reaction;
   static CrumpleSurface surface;
-  static CrumpleVertices vertices{nullptr, nullptr, nullptr, 12, 0, 0, 0, 0};
+  static CrumpleVertices vertices{nullptr, nullptr, nullptr, 12, 0, 0, 0, 0, 0, nullptr};
   static CrumpleMesh mesh;
   static CrumpleHealth health;
   static const char* ids[4];
@@ -174,7 +174,7 @@ TEST(CLibrary, EveryFunctionSaysThatItsSessionIsNullOrClosedOrNone) {
     if (name == "crumple_open") continue;
     if (name != "crumple_close") expect_refused(call, nullptr, -1, "session is NULL");
     expect_refused(call, closed, -1, "the session was closed");
-    expect_refused(call, reinterpret_cast<Crumple*>(&none), -1, "the session was closed, or is none");
+    expect_refused(call, reinterpret_cast<Crumple*>(&none), -1, "the session was closed, or was never open");
   }
   EXPECT_NE(closed, other);
   EXPECT_EQ(crumple_follow(other, nullptr, 0), CRUMPLE_OK) << crumple_error();
@@ -205,17 +205,17 @@ TEST(CLibrary, RefusesCountsSizesAndStridesThatNothingCanHave) {
   refused(crumple_publish_obstacles(session, &hull, 1), "over 100000 points");
   ASSERT_EQ(crumple_follow(session, "c", 0), CRUMPLE_OK) << crumple_error();
   for (const size_t stride : {size_t{0}, size_t{13}, size_t{4100}, most - 11}) {
-    CrumpleVertices vertices{nullptr, nullptr, nullptr, stride, most, 0, 0, 0};
+    CrumpleVertices vertices{nullptr, nullptr, nullptr, stride, most, 0, 0, 0, 0, nullptr};
     refused(crumple_copy(session, "c", &vertices), "stride");
   }
   const std::string long_id(100'000, 'x');
   for (const char* id : {"", "\xff\xfe", "a b", long_id.c_str()}) {
-    refused(crumple_follow(session, id, 0), "not the id");
+    refused(crumple_follow(session, id, 0), "not an id");
     refused(crumple_mesh(session, id, nullptr), "out is NULL");
     CrumpleMesh mesh;
-    refused(crumple_mesh(session, id, &mesh), "not the hash");
+    refused(crumple_mesh(session, id, &mesh), "not a hash");
     CrumpleSpawn spawn{{{0, 0, 0}, {0, 0, 0, 1}}, 0, {}, {}, 0};
-    refused(crumple_spawn(session, "c", id, &spawn, &ticket), "not the hash");
+    refused(crumple_spawn(session, "c", id, &spawn, &ticket), "not a hash");
   }
   crumple_close(session);
 }

@@ -523,7 +523,8 @@ struct Fed {
   Copied copy(double time = 0) {
     const size_t size = 3 * size_t{mesh.vertex_count};
     Copied out{std::vector<float>(size), std::vector<float>(size), std::vector<float>(size)};
-    CrumpleVertices to{out.position.data(), out.displacement.data(), out.normal.data(), 12, mesh.vertex_count, time, 7, 7};
+    CrumpleVertices to{
+        out.position.data(), out.displacement.data(), out.normal.data(), 12, mesh.vertex_count, time, 7, 7, 0, nullptr};
     EXPECT_EQ(crumple_copy(session.get(), "a", &to), CRUMPLE_OK) << crumple_error();
     out.first = to.first, out.count = to.count;
     return out;
@@ -612,7 +613,7 @@ TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
 
   // Some members of a vertex of 8 floats.
   std::vector<float> strided(8 * size_t{fed.mesh.vertex_count}, -7.0f);
-  CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0, 0};
+  CrumpleVertices some{strided.data(), nullptr, strided.data() + 3, 32, 5, 0, 0, 0, 0, nullptr};
   ASSERT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_OK);
   EXPECT_TRUE(std::equal(&strided[8 * 4], &strided[8 * 4 + 3], &copied.position[3 * 4]));
   EXPECT_TRUE(std::equal(&strided[8 * 4 + 3], &strided[8 * 4 + 6], &copied.normal[3 * 4]));
@@ -620,6 +621,146 @@ TEST(Client, CopiesPositionsAndTheNormalsOfTheDentedSurface) {
   EXPECT_EQ(strided[8 * 5], -7) << "beyond capacity";
   some.stride = 10;
   EXPECT_EQ(crumple_copy(fed.session.get(), "a", &some), CRUMPLE_BAD_ARGUMENT);
+}
+
+// A mesh as an engine has it: centimetres, left-handed, each triangle with vertices of its own, in an order of its own.
+struct EngineMesh {
+  struct Vertex {
+    float position[3], normal[3], tangent[3], uv[2];
+  };
+  static constexpr double to_car[12] = {0, 0.01, 0, 0.5, 0.01, 0, 0, 0.25, 0, 0, 0.01, -1};
+  std::vector<Vertex> vertex;
+  std::vector<uint32_t> baked;  // the vertex of the baked car in the same place
+
+  using Matrix = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
+  static Eigen::Vector3d from_car(const Eigen::Vector3d& p) {
+    const Eigen::Map<const Matrix> m(to_car);
+    return m.leftCols<3>().inverse() * (p - m.col(3));
+  }
+  static Eigen::Vector3d turned(const Eigen::Vector3d& normal) {
+    return (Eigen::Map<const Matrix>(to_car).leftCols<3>().transpose() * normal).normalized();
+  }
+  static Eigen::Vector3d of(const float* p) { return {p[0], p[1], p[2]}; }
+
+  explicit EngineMesh(const CrumpleMesh& mesh) {
+    for (uint32_t t = 0; t < mesh.triangle_count; ++t) {
+      const uint32_t* corner = mesh.triangle + 3 * ((t * 7919) % mesh.triangle_count);
+      const Eigen::Vector3d a = of(mesh.vertex + 3 * corner[0]), b = of(mesh.vertex + 3 * corner[1]),
+                            c = of(mesh.vertex + 3 * corner[2]);
+      for (int k = 0; k < 3; ++k) {
+        Vertex& out = vertex.emplace_back();
+        baked.push_back(corner[k]);
+        Eigen::Map<Eigen::Vector3f>(out.position) = from_car(of(mesh.vertex + 3 * corner[k])).cast<float>();
+        Eigen::Map<Eigen::Vector3f>(out.normal) = turned((b - a).cross(c - a)).cast<float>();
+        Eigen::Map<Eigen::Vector3f>(out.tangent) = (from_car(b) - from_car(a)).normalized().cast<float>();
+        out.uv[0] = out.uv[1] = 7;
+      }
+    }
+  }
+  CrumpleOwnMesh own() const {
+    return {vertex[0].position, vertex[0].normal, vertex[0].tangent, sizeof(Vertex), vertex.size(), to_car, 0, 0};
+  }
+  CrumpleVertices into(uint32_t mapping) {
+    return {vertex[0].position, nullptr, vertex[0].normal, sizeof(Vertex), vertex.size(), 0, 7, 7, mapping, vertex[0].tangent};
+  }
+};
+
+TEST(Client, MovesTheVerticesOfAGamesOwnMesh) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  EngineMesh engine(fed.mesh);
+  const std::vector<EngineMesh::Vertex> rest = engine.vertex;
+  CrumpleOwnMesh own = engine.own();
+  uint32_t mapping = 0;
+  ASSERT_EQ(crumple_map(session, fed.car->hash.c_str(), &own, &mapping), CRUMPLE_OK) << crumple_error();
+  EXPECT_EQ(own.on_vertices, engine.vertex.size());
+  EXPECT_LT(own.farthest, 1e-5f);
+
+  // At rest the mesh keeps its numbers.
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3&) { return std::array{0, 0, 0}; })), CRUMPLE_OK);
+  CrumpleVertices into = engine.into(mapping);
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK) << crumple_error();
+  EXPECT_EQ(into.count, engine.vertex.size());
+  for (size_t i = 0; i < rest.size(); ++i) {
+    EXPECT_TRUE(std::equal(rest[i].position, rest[i].position + 3, engine.vertex[i].position));
+    EXPECT_LT((EngineMesh::of(rest[i].normal) - EngineMesh::of(engine.vertex[i].normal)).norm(), 1e-6);
+    EXPECT_LT((EngineMesh::of(rest[i].tangent) - EngineMesh::of(engine.vertex[i].tangent)).norm(), 1e-6);
+  }
+
+  // Sheared: each vertex is where the baked vertex is, and each normal is that of its flat triangle.
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3& at) {
+    return std::array{int(std::lround(600 * at.z())), 0, 0};
+  })),
+            CRUMPLE_OK);
+  const auto copied = fed.copy();
+  into = engine.into(mapping);
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK) << crumple_error();
+  for (size_t i = 0; i < rest.size(); i += 3) {
+    Eigen::Vector3d corner[3];
+    for (size_t k = 0; k < 3; ++k) {
+      corner[k] = EngineMesh::of(&copied.position[size_t{3} * engine.baked[i + k]]);
+      EXPECT_LT((EngineMesh::of(engine.vertex[i + k].position) - EngineMesh::from_car(corner[k])).norm(), 1e-3) << "cm";
+      EXPECT_EQ(engine.vertex[i + k].uv[0], 7) << "what lies between is the caller's";
+    }
+    const Eigen::Vector3d normal = EngineMesh::turned((corner[1] - corner[0]).cross(corner[2] - corner[0]));
+    for (size_t k = 0; k < 3; ++k) {
+      const Eigen::Vector3d now = EngineMesh::of(engine.vertex[i + k].normal);
+      EXPECT_LT((now - normal).norm(), 2e-3) << "vertex " << i + k;
+      EXPECT_NEAR(EngineMesh::of(engine.vertex[i + k].tangent).norm(), 1, 1e-5);
+      EXPECT_NEAR(EngineMesh::of(engine.vertex[i + k].tangent).dot(now), 0, 1e-4) << "they turn together";
+    }
+  }
+
+  // Two meshes of one car: each copy says what changed since the last copy of that mesh.
+  into = engine.into(mapping);
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK);
+  EXPECT_EQ(into.count, 0u);
+  uint32_t other = 0;
+  ASSERT_EQ(crumple_map(session, fed.car->hash.c_str(), &own, &other), CRUMPLE_OK);
+  into = engine.into(other);
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK);
+  EXPECT_EQ(into.count, engine.vertex.size());
+}
+
+TEST(Client, RefusesMeshesThatItCannotMap) {
+  Fed fed;
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  EngineMesh engine(fed.mesh);
+  uint32_t mapping = 7;
+  const auto refused = [&](const CrumpleOwnMesh& given, const char* fact) {
+    CrumpleOwnMesh own = given;
+    EXPECT_EQ(crumple_map(session, fed.car->hash.c_str(), &own, &mapping), CRUMPLE_BAD_ARGUMENT) << fact;
+    EXPECT_NE(std::strstr(crumple_error(), fact), nullptr) << crumple_error();
+  };
+  CrumpleOwnMesh own = engine.own();
+  own.count = 0;
+  refused(own, "count");
+  own.count = SIZE_MAX;
+  refused(own, "count");
+  own = engine.own();
+  own.stride = 10;
+  refused(own, "stride");
+  own = engine.own();
+  own.position = nullptr;
+  refused(own, "position");
+  own = engine.own();
+  own.to_car = nullptr;
+  refused(own, "to_car");  // this car was not baked from a file
+  const double flat[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0};
+  own.to_car = flat;
+  refused(own, "inverse");
+  engine.vertex[3].normal[0] = engine.vertex[3].normal[1] = engine.vertex[3].normal[2] = 0;
+  refused(engine.own(), "normal of vertex 3");
+  engine.vertex[2].position[1] = std::numeric_limits<float>::quiet_NaN();
+  refused(engine.own(), "vertex 2");
+  EXPECT_EQ(mapping, 7u);
+  EXPECT_EQ(crumple_map(session, "0123456789abcdef", &own, &mapping), CRUMPLE_UNKNOWN);
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3&) { return std::array{0, 0, 0}; })), CRUMPLE_OK);
+  CrumpleVertices into = engine.into(1);
+  EXPECT_EQ(crumple_copy(session, "a", &into), CRUMPLE_BAD_ARGUMENT);
+  EXPECT_NE(std::strstr(crumple_error(), "mapping"), nullptr) << crumple_error();
 }
 
 TEST(Client, OutsideOfWhatCopyNamesNothingHasChanged) {

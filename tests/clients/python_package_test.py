@@ -122,6 +122,22 @@ class ThePackage(WithServer):
         with self.assertRaisesRegex(ValueError, "float32"):
             viewer.vertices("car1", crumple.Vertices(*[np.zeros((len(mesh.vertex), 3))] * 3))
 
+        # A mesh of the caller's, in centimetres and another order, moves with it.
+        order = np.random.default_rng(1).permutation(len(mesh.vertex))
+        to_car = np.array([[0.01, 0, 0, 0], [0, 0.01, 0, 0.5], [0, 0, 0.01, 0]])
+        own = viewer.map(dent.asset, (mesh.vertex[order] - [0, 0.5, 0]) * 100, normal=buffer["normal"][order], to_car=to_car)
+        self.assertEqual((own.on_vertices, own.count), (len(order), len(order)))
+        placed = viewer.vertices("car1", own=own)
+        np.testing.assert_allclose(placed.position / 100 + [0, 0.5, 0], buffer["position"][order], atol=1e-5)
+        np.testing.assert_allclose(placed.displacement / 100, buffer["moved"][order], atol=1e-6)
+        self.assertIsNone(placed.tangent)
+        with self.assertRaisesRegex(ValueError, "float32"):
+            viewer.vertices("car1", crumple.Vertices(*[np.zeros((3, 3), np.float32)] * 3), own=own)
+        with self.assertRaisesRegex(ValueError, "3 x 4"):
+            viewer.map(dent.asset, mesh.vertex, to_car=np.eye(4))
+        with self.assertRaisesRegex(crumple.Error, "finite"):
+            viewer.map(dent.asset, np.full((1, 3), np.nan), to_car=to_car)
+
         # The earlier surface is the same as long as nothing moves.
         past = viewer.vertices("car1", time=viewer.time - 0.1)
         np.testing.assert_array_equal(past.displacement, buffer["moved"])

@@ -256,7 +256,7 @@ class ThePictureOfACar(unittest.TestCase):
         (self.folder / "forged.car").write_bytes(data[:64] + bytes([255] * 64) + data[128:])
         (self.folder / "taken").write_text("")
         for part, *arguments in (("cut.car: ", "cut.car"), ("forged.car: ", "forged.car"), ("taken", "solid.car", "-o", "taken"),
-                                 ("solid.car: is a baked car, of which only -o applies", "solid.car", "--speed", "0.1")):
+                                 ("solid.car: this is a baked car, so only -o applies", "solid.car", "--speed", "0.1")):
             done = subprocess.run([PROGRAM, "render", *arguments], cwd=self.folder, text=True, capture_output=True)
             self.assertEqual((done.returncode, done.stderr.count("\n")), (1, 1), done)
             self.assertIn(part, done.stderr)
@@ -305,8 +305,8 @@ class TheVerb(unittest.TestCase):
     def test_what_goes_wrong_is_told_in_one_sentence(self):
         cut = self.folder / "cut.mcap"
         cut.write_bytes(POLE.read_bytes()[:400_000])
-        for code, part, *arguments in ((1, "cut.mcap: not a whole recording of crumple; if it was cut off: crumple recover", cut),
-                                       (1, "no.mcap: No such file", "no.mcap"), (1, "no car x in it; it has: car", POLE, "--cars", "x"),
+        for code, part, *arguments in ((1, "cut.mcap: this is not a whole recording of crumple; if it was cut off, run crumple recover", cut),
+                                       (1, "no.mcap: No such file", "no.mcap"), (1, "it has no car x; its cars are: car", POLE, "--cars", "x"),
                                        (1, f"it lasts from 0.02 to {told('([0-9]+) ticks') / 60:.2f} s", POLE, "--from", "9"), (2, "--size", POLE, "--size", "9"),
                                        (1, "cut.mcap", POLE, "-o", cut, "--size", "64x64", "--sheet")):
             done = self.render(*arguments)

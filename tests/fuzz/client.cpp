@@ -86,7 +86,7 @@ void look(Crumple* handle, const Crumple& session) {
     CrumpleSurface surface;
     if (crumple_surface(handle, ids[i], &surface) == CRUMPLE_OK)
       expect(XXH64(surface.quanta, 6 * size_t{surface.node_count}, 0) == surface.hash, "a surface has its hash");
-    CrumpleVertices vertices{position.data(), nullptr, normal.data(), 12, 4096, i % 2 ? 0 : 0.05, 0, 0};
+    CrumpleVertices vertices{position.data(), nullptr, normal.data(), 12, 4096, i % 2 ? 0 : 0.05, 0, 0, 0, nullptr};
     crumple_copy(handle, ids[i], &vertices);
     expect(vertices.first + vertices.count <= 4096, "what changed is in the buffer");
   }

@@ -124,6 +124,8 @@ TEST_F(FilesOfVerbs, EveryVerbRefusesWhatIsNoFileOrIsTooLarge) {
         {"watch", "--network", bad},
         {"bake", car, "--regions", bad, "-o", out},
         {"bake", bad, "-o", out},
+        {"map", car, bad},
+        {"map", bad, scene},
         {"info", bad},
         {"export", bad, "-o", out},
         {"recover", bad, "-o", out},

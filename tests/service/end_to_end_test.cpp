@@ -72,7 +72,7 @@ TEST_F(EndToEnd, ADentReachesEveryViewerAndALateOneAndTheRecordingVerifies) {
   ASSERT_EQ(surface.node_count, baked->skin_node.size());
   EXPECT_STREQ(mesh.attribution, "made by the tests");
   std::vector<float> strided(8 * size_t{mesh.vertex_count}, -1.0f);
-  CrumpleVertices copied{nullptr, strided.data(), nullptr, 32, mesh.vertex_count, 0, 0, 0};
+  CrumpleVertices copied{nullptr, strided.data(), nullptr, 32, mesh.vertex_count, 0, 0, 0, 0, nullptr};
   ASSERT_EQ(crumple_copy(late, "box", &copied), CRUMPLE_OK);
   for (uint32_t v = 0; v < mesh.vertex_count; ++v) {
     float expected = 0;  // of z, in m
@@ -325,7 +325,7 @@ TEST_F(EndToEnd, ASceneHasOneServer) {
   // An owner that was cut off meets the token of a later epoch.
   ASSERT_EQ(net_announce(router.get(), "crumple/1/main/owner/2-abc"), 0) << transport_error();
   EXPECT_EQ(owner.wait(), 1);
-  EXPECT_NE(owner.text.find("another has taken over"), std::string::npos) << owner.text;
+  EXPECT_NE(owner.text.find("another server has taken over"), std::string::npos) << owner.text;
 }
 
 TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
@@ -373,7 +373,8 @@ TEST_F(EndToEnd, ExitCodesAndErrorsSayWhatToDo) {
     if (*verb == 's') arguments.insert(arguments.end(), {"--car", car_file.string()});
     const Outcome of_cars = run(arguments);
     EXPECT_EQ(of_cars.code, 2) << of_cars.text;
-    EXPECT_NE(of_cars.text.find("\"asset\" is no scene: the keys of baked cars stand under it"), std::string::npos)
+    EXPECT_NE(of_cars.text.find("\"asset\" cannot name a scene, because the keys of baked cars begin with it"),
+              std::string::npos)
         << of_cars.text;
   }
   const Outcome not_recording = run({"replay", car_file.string(), "--verify"});

@@ -413,7 +413,7 @@ TEST_F(Routed, OnlyServersOwnAScene) {
   EXPECT_TRUE(until(host, [&] {
     return crumple_set_parameters(host, "box", &keep, &ticket) == CRUMPLE_OK && answer(host, CRUMPLE_OK, ticket).ok;
   })) << "it serves on";
-  EXPECT_EQ(standby->text.find("out of step"), std::string::npos) << standby->text;
+  EXPECT_EQ(standby->text.find("differs from the owner"), std::string::npos) << standby->text;
   standby->send(SIGTERM);
   EXPECT_EQ(standby->wait(), 0) << standby->text;
 }

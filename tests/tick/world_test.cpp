@@ -146,7 +146,7 @@ TEST(World, APoseOfAnUnknownCarOrOfAnotherHostsCarIsCountedAndSkipped) {
   scene.step({{"host/game/poses", host::poses(1, {{"x"}, {"b", pose_at(5)}, {"a", pose_at(5)}})}});
   EXPECT_EQ(scene.refused(Reason::unknown_car), 1u);
   EXPECT_EQ(scene.refused(Reason::not_owner), 1u);
-  EXPECT_NE(last_refusal(*scene.world).find("car b is host other's, not game's"), std::string::npos);
+  EXPECT_NE(last_refusal(*scene.world).find("car b belongs to host other, not to host game"), std::string::npos);
   EXPECT_EQ(scene.car("a").motion.pose.position.x(), 5);
   EXPECT_EQ(scene.car("b").motion.pose.position.x(), 0);
   scene.step({{"host/stranger/poses", host::poses(1, {{"a", pose_at(7)}})}});

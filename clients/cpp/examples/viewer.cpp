@@ -43,7 +43,7 @@ void view(const char* endpoint, const char* car) {
     if ((surface = session.surface(car))) alive = surface->alive;
   }
   vertices.time = 0;  // the newest
-  if (!session.copy(car, vertices)) throw crumple::client::Error("the car went while the viewer was stopped");
+  if (!session.copy(car, vertices)) throw crumple::client::Error("the car was despawned while the viewer was stopped");
   float deepest = 0;
   for (size_t i = 0; i < buffer.size(); ++i) {
     const float *now = buffer[i].position, *rest = mesh.vertex + 3 * i;

@@ -135,6 +135,13 @@ class Session {
   }
   // Returns false while the surface or its mesh is missing.
   bool copy(const std::string& car, CrumpleVertices& out) { return need(crumple_copy(*this, car.c_str(), &out)) == CRUMPLE_OK; }
+  // Maps a mesh of your own, for CrumpleVertices.mapping. Waits until the asset has come.
+  uint32_t map(const std::string& asset, CrumpleOwnMesh& own) {
+    uint32_t mapping = 0;
+    mesh(asset);
+    need(crumple_map(*this, asset.c_str(), &own, &mapping));
+    return mapping;
+  }
   // Waits until the mesh has come.
   CrumpleMesh mesh(const std::string& asset) {
     CrumpleMesh mesh;

@@ -200,20 +200,24 @@ typedef struct CrumpleSurface {
 // a second, and the current surface has not come since. Then keep what you drew.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
 
-// Where crumple_copy writes 3 floats for each vertex, in the car's frame: into separate arrays (stride 12), or into members of
-// your vertex struct (stride: its size). NULL: leave it out.
+// Where crumple_copy writes 3 floats for each vertex: into separate arrays (stride 12), or into members of your vertex struct
+// (stride: its size). NULL: leave it out.
 typedef struct CrumpleVertices {
   float* position;      // m
   float* displacement;  // from rest, m
-  float* normal;        // of length 1: the mean of the triangles around the vertex, weighted by their area
+  float* normal;        // of length 1; without a mapping: the mean of the triangles around the vertex, weighted by their area
   size_t stride;        // bytes from one vertex to the next
   size_t capacity;      // number of vertices that fit
   // 0 or less: the newest surface. Otherwise the surface at this time, s, which may be up to half a second ago; between two
   // ticks the vertices are on the way from the one to the other. With crumple_time() - 0.1 here, and for the poses, a car moves
   // smoothly however unevenly messages come.
   double time;
-  // crumple_copy sets these: only the `count` vertices from `first` on may differ from the last crumple_copy of this car.
+  // crumple_copy sets these: only the `count` vertices from `first` on may differ from the last crumple_copy of this car with
+  // this mapping.
   uint32_t first, count;
+  // 0: the vertices of crumple_mesh, in the car's frame. From crumple_map: the vertices of your own mesh, in its coordinates.
+  uint32_t mapping;
+  float* tangent;  // of length 1; only with a mapping whose mesh has tangents
 } CrumpleVertices;
 // crumple_copy needs the asset, as crumple_mesh does, asks the server for it, and returns CRUMPLE_PENDING until it has come.
 int crumple_copy(Crumple*, const char* car, CrumpleVertices*);
@@ -232,6 +236,27 @@ typedef struct CrumpleMesh {
 int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
 // Takes a baked car that you have as a file, so that the server need not send it. hash: its name for crumple_spawn.
 int crumple_add_asset(Crumple*, const void* car, size_t size, char hash[17]);
+
+// A mesh of the car that you draw yourself.
+typedef struct CrumpleOwnMesh {
+  const float* position;  // 3 for each vertex
+  const float* normal;    // 3, of length 1; NULL: it has none, and crumple_copy takes those of the baked car
+  const float* tangent;   // 3, of length 1; NULL: it has none
+  size_t stride;          // bytes from one vertex to the next
+  size_t count;           // number of vertices, at most 4 million
+  // Rows of the 3 x 4 matrix from these coordinates to the car's frame. NULL: they are the coordinates of the file from which
+  // the car was baked, with the transformations of its nodes applied.
+  const double* to_car;
+  // crumple_map sets these:
+  uint32_t on_vertices;  // number of vertices that lie on a vertex of the baked car, within 0.1 mm
+  float farthest;        // m, from a vertex to the surface of the baked car
+} CrumpleOwnMesh;
+// Binds each vertex of your mesh to the surface of a baked car. With the mapping crumple_copy moves your vertices and turns
+// your normals and tangents: in your order, with your seams and hard edges. At rest it gives your numbers. Map every mesh and
+// every level of detail once; all get the same dents. Wheels and other parts that are not in the baked car: leave them out, and
+// place them yourself. mapping: a number, valid as long as the session; a session has at most 1024. Returns CRUMPLE_PENDING
+// until the asset has come.
+int crumple_map(Crumple*, const char* asset, CrumpleOwnMesh*, uint32_t* mapping);
 
 typedef struct CrumpleHealth {
   uint64_t tick, late;      // late: number of ticks that began late

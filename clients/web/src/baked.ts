@@ -31,7 +31,7 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
   const buffer = new ByteBuffer(bytes);
   if (!Car.bufferHasIdentifier(buffer)) throw new Error(`asset ${asset} is not a baked car`);
   const car = Car.getRootAsCar(buffer);
-  if (car.version() !== 1) throw new Error(`asset ${asset} is a baked car of version ${car.version()}; this reads version 1`);
+  if (car.version() !== 1) throw new Error(`asset ${asset} is a baked car of version ${car.version()}; this program reads version 1`);
   const vertices = car.vertexLength(), nodes = car.nodeLength();
   const words = (at: number, count: number) => bytes.slice(at, at + 4 * count).buffer;
   const vertex = new Float32Array(words(car.vertex(0)!.bb_pos, 3 * vertices));

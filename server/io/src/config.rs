@@ -35,7 +35,9 @@ pub fn build(
     let plain = |it: &&&str| it.starts_with("udp/") && !it.split(['?', ';', '#']).any(|part| part == "rel=1");
     if let Some(endpoint) = listen.iter().chain(connect).find(plain) {
         let at = endpoint.split(['?', '#']).next().unwrap_or_default();
-        return Err(bad(format!("{endpoint} would lose declarations for good: write {at}?rel=1, at both ends")));
+        return Err(bad(format!(
+            "{endpoint}: over plain UDP zenoh never resends a lost declaration; write {at}?rel=1 at both ends"
+        )));
     }
     let mut config = json!({
         "mode": mode,
@@ -72,7 +74,7 @@ pub fn build(
     if let Some(text) = overlay {
         if depth(text) > DEEPEST {
             return Err(bad(format!(
-                "the network configuration has over {DEEPEST} brackets within brackets: no key of zenoh has"
+                "the network configuration nests over {DEEPEST} brackets, and no key of zenoh needs so many; remove some"
             )));
         }
         let laid: Value =

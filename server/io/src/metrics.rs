@@ -41,7 +41,7 @@ impl Metrics {
 
 async fn answer(State(shared): State<Arc<Shared>>, method: Method, uri: Uri) -> Response {
     if method != Method::GET || uri.path() != "/metrics" {
-        return (StatusCode::NOT_FOUND, "GET /metrics is all there is\n").into_response();
+        return (StatusCode::NOT_FOUND, "there is nothing but GET /metrics\n").into_response();
     }
     let page = shared.page.lock().unwrap().clone();
     let own = format!(

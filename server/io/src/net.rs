@@ -243,7 +243,7 @@ impl Net {
     pub fn prefer(&self, keys: &str) -> Result<(), Fail> {
         let keys: HashSet<_> = keys.split(',').filter_map(|key| CString::new(key).ok()).collect();
         if keys.len() > MAX_PREFERRED {
-            let sentence = format!("{} keys are preferred: {MAX_PREFERRED} at most may be", keys.len());
+            let sentence = format!("{} keys are too many to prefer: at most {MAX_PREFERRED} are allowed", keys.len());
             return Err(Fail::new(BAD_ARGUMENT, sentence));
         }
         self.shared.inbox.prefer(keys);
@@ -572,11 +572,11 @@ impl Shared {
         let ticket = self.tickets.fetch_add(1, Relaxed);
         let payload = query.payload_mut().map(std::mem::take).unwrap_or_default();
         _ = query.attachment_mut().map(std::mem::take);
-        let too_long = |what: &str| format!("{what} is longer than what may be asked here").into_bytes();
+        let too_long = |what: &str| format!("{what} is longer than the server accepts").into_bytes();
         let key = c_key(query.key_expr());
         let refused = if !is_plain(query.key_expr()) || query.parameters().as_str().len() > MAX_KEY {
             self.inbox.counts.refused(Kind::Query);
-            Some(too_long("the key or its parameters"))
+            Some(too_long("the key of a query, or its list of parameters,"))
         } else if self.inbox.is_oversized(source, payload.len()) {
             Some(too_long(&format!("a question of {} bytes", payload.len())))
         } else if self.inbox.refuses(source, Kind::Query, &key, payload.len()) {

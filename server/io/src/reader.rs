@@ -265,8 +265,8 @@ impl Contents {
                 let holds = head.last_chunk().map_or(0, |size| u64::from_le_bytes(*size));
                 if holds > MAX_CHUNK || holds / MAX_RATIO > size {
                     contents.damage = Some(format!(
-                        "the chunk at byte {at} claims to hold {holds} bytes in {size}: it may hold {} MiB, and {MAX_RATIO} \
-                         times what it takes, which LZ4 never exceeds",
+                        "the chunk at byte {at} claims to hold {holds} bytes in {size}: at most {} MiB are allowed, and at most \
+                         {MAX_RATIO} times its size, which LZ4 never exceeds",
                         MAX_CHUNK >> 20
                     ));
                     contents.cut = false;

@@ -252,8 +252,9 @@ impl Scribe {
         self.count_lost();
         let path = &self.path;
         let why = causes(error);
-        let sentence =
-            format!("{path}: the recording ends here: {why}; what was synced before is readable, record anew elsewhere");
+        let sentence = format!(
+            "{path}: the recording ends here: {why}; the data synced before is readable; record again in another place"
+        );
         _ = self.shared.trouble.set((IO, CString::new(sentence.replace('\0', " ")).unwrap_or_default()));
     }
 

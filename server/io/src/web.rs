@@ -201,7 +201,7 @@ async fn same_site(State(shared): State<Arc<Shared>>, request: Request, next: Ne
     if is_same_site(request.headers(), shared.loopback, request.method() == Method::POST) {
         return next.run(request).await;
     }
-    (StatusCode::FORBIDDEN, "only the page that is served here may ask here\n").into_response()
+    (StatusCode::FORBIDDEN, "only the page of this address may send requests to it\n").into_response()
 }
 
 /// The owner of a public host name could let it lead here. Such a page may see what is public anyway, but may command nothing.
@@ -222,7 +222,7 @@ async fn page(State(shared): State<Arc<Shared>>, uri: Uri) -> Response {
             let head = [(header::CONTENT_TYPE, page.media_type.clone()), (header::CACHE_CONTROL, "no-cache".into())];
             (head, page.data.clone()).into_response()
         }
-        None => (StatusCode::NOT_FOUND, "not here (yet)\n").into_response(),
+        None => (StatusCode::NOT_FOUND, "nothing is at this path, or not yet\n").into_response(),
     }
 }
 
@@ -230,7 +230,7 @@ async fn request(State(shared): State<Arc<Shared>>, Extension(place): Extension<
     const BUSY: &str = "too many requests wait here: try again later\n";
     let path = CString::new(request.uri().path()).unwrap_or_default();
     if shared.requests.lock().unwrap().is_none() {
-        return (StatusCode::FORBIDDEN, "this page only shows the scene\n").into_response();
+        return (StatusCode::FORBIDDEN, "this page may only show the scene: it takes no commands\n").into_response();
     }
     let (waiting, answer) = {
         let mut all = shared.requests.lock().unwrap();
@@ -243,10 +243,10 @@ async fn request(State(shared): State<Arc<Shared>>, Extension(place): Extension<
         (Waiting { shared: shared.clone(), ticket }, answer)
     };
     let Ok(body) = timeout(ANSWERED, to_bytes(request.into_body(), MAX_REQUEST)).await else {
-        return (StatusCode::REQUEST_TIMEOUT, "the request did not arrive\n").into_response();
+        return (StatusCode::REQUEST_TIMEOUT, "the request did not arrive in time\n").into_response();
     };
     let Ok(data) = body else {
-        return (StatusCode::PAYLOAD_TOO_LARGE, "more than the 1 MiB that a request may have\n").into_response();
+        return (StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 1 MiB, the most that is allowed\n").into_response();
     };
     if let Some(requests) = shared.requests.lock().unwrap().as_mut() {
         requests.line.push_back(Asked { ticket: waiting.ticket, path, data });

@@ -14,6 +14,38 @@ using Crumple;
 static class UnityTest {
   const BindingFlags all = BindingFlags.Instance | BindingFlags.NonPublic | BindingFlags.Public;
 
+  static GCHandle Pinned(float[] list) { return GCHandle.Alloc(list, GCHandleType.Pinned); }
+
+  // A mesh in Unity's axes moves as the baked car does.
+  static void CheckOwnMesh(Session session, string car, string asset, Mesh mesh, float[] vertex) {
+    session.Follow(car);
+    var baked = new float[vertex.Length];
+    var own = new float[vertex.Length];
+    Func<float[], int, Float3> at = (list, i) => new Float3(list[i], list[i + 1], list[i + 2]);
+    for (int i = 0; i < vertex.Length; i += 3) {
+      Float3 placed = Axes.ToUnity(Wide(at(vertex, i)));
+      own[i] = placed.X; own[i + 1] = placed.Y; own[i + 2] = placed.Z;
+    }
+    double[] toCar = { 0, 0, 1, 0, -1, 0, 0, 0, 0, 1, 0, 0 };
+    GCHandle matrix = GCHandle.Alloc(toCar, GCHandleType.Pinned), to = Pinned(own), of = Pinned(baked);
+    var given = new OwnMesh { Position = to.AddrOfPinnedObject(), ToCar = matrix.AddrOfPinnedObject(), Stride = 12,
+                              Count = (int)mesh.VertexCount };
+    uint mapping;
+    Need(session.TryMap(asset, ref given, out mapping) && mapping > 0, "the mesh is mapped");
+    Need(given.OnVertices == mesh.VertexCount && given.Farthest < 1e-4, "each vertex lies on one of the baked car");
+    var mapped = new Vertices { Position = to.AddrOfPinnedObject(), Stride = 12, Capacity = given.Count, Mapping = mapping };
+    var plain = new Vertices { Position = of.AddrOfPinnedObject(), Stride = 12, Capacity = given.Count };
+    for (DateTime limit = DateTime.Now.AddSeconds(60); !session.Copy(car, ref plain) && DateTime.Now < limit;) session.Poll(0.1);
+    Need(session.Copy(car, ref mapped) && session.Copy(car, ref plain), "the surface came");
+    float deepest = 0;
+    for (int i = 0; i < vertex.Length; i += 3) {
+      Need(Same(Axes.ToUnity(Wide(at(baked, i))), at(own, i)), "vertex " + i / 3);
+      deepest = Math.Max(deepest, Math.Abs(baked[i] - vertex[i]));
+    }
+    Need(deepest > 0.05, "the car is dented");
+    matrix.Free(); to.Free(); of.Free();
+  }
+
   static void Layout() {
     var structs = typeof(Session).Assembly.GetTypes().Where(each => each.Namespace == "Crumple" && each.IsValueType);
     foreach (Type type in structs.Where(each => !each.IsEnum))
@@ -159,6 +191,7 @@ static class UnityTest {
           absorbed = reactions[k].EnergyAbsorbed;
         }
       }
+      CheckOwnMesh(host, "car2", asset, mesh, vertex);
       byte[] state = host.Save("car2");
       host.Repair("car2");
       host.Load("car2", state);

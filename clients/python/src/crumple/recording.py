@@ -109,7 +109,7 @@ class Recording:
             head = {each.name: each.metadata for each in self._reader.iter_metadata()}.get("crumple")
         if summary is None or head is None:
             self.close()
-            raise Error(f"{os.fspath(path)}: not a whole recording of crumple; if it was cut off: crumple recover FILE -o WHOLE")
+            raise Error(f"{os.fspath(path)}: this is not a whole recording of crumple; if it was cut off, run crumple recover FILE -o WHOLE")
         self.scene, self.rate, self.program = head["scene"], float(head["rate"]), head["program"]
         self._root = f"crumple/1/{self.scene}/"
         self._topics = {channel.topic.removeprefix(self._root) for channel in summary.channels.values()}
@@ -139,7 +139,7 @@ class Recording:
         """A row for each tick: its number, and the log time of its end, ns."""
         rows = [(tick, at) for tick, at, _, _ in self._messages(lambda key: key == "tick")]
         if not rows:
-            raise Error(f"{self._file.name}: not one whole tick was recorded")
+            raise Error(f"{self._file.name}: it has no whole tick")
         return np.array(rows, np.uint64)
 
     @property
@@ -168,7 +168,7 @@ class Recording:
         """Checks the sizes that a chunk and its compressed data claim, because mcap allocates as much memory."""
         summary = self._reader.get_summary()
         if summary is None or not summary.chunk_indexes:  # mcap would then read it without the index
-            raise Error(f"{self._file.name}: has no index of its chunks; crumple recover FILE -o WHOLE makes one")
+            raise Error(f"{self._file.name}: it has no index of its chunks; crumple recover FILE -o WHOLE makes one")
         for index in summary.chunk_indexes:
             self._file.seek(index.chunk_start_offset + 9)  # opcode, length
             chunk = Chunk.read(ReadDataStream(self._file))

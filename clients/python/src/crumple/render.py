@@ -94,7 +94,7 @@ def find_clips(recording: Recording, rows: Array, options: argparse.Namespace) -
         start = recording.start if options.start is None else max(options.start, recording.start)
         end = recording.end if options.to is None else min(options.to, recording.end)
         if end <= start:
-            raise Error(f"{options.recording}: it lasts from {recording.start:.2f} to {recording.end:.2f} s; give --from and --to within")
+            raise Error(f"{options.recording}: it lasts from {recording.start:.2f} to {recording.end:.2f} s; give --from and --to within this time")
         inside = touched[(touched["time"] >= start) & (touched["time"] <= end)]
         first = float(inside["time"][0]) if len(inside) else start
         return [Clip(start, end, first, end, hit(inside) or everybody)]
@@ -441,7 +441,7 @@ def size_of(text: str) -> tuple[int, int]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text} is not WIDTHxHEIGHT, such as 960x540") from None
     if not (64 <= w <= 4096 and 64 <= h <= 4096):
-        raise argparse.ArgumentTypeError(f"{text}: from 64x64 to 4096x4096")
+        raise argparse.ArgumentTypeError(f"{text} is not from 64x64 to 4096x4096")
     return w, h
 
 
@@ -460,14 +460,14 @@ def render(options: argparse.Namespace) -> None:
     folder = pathlib.Path(options.output or pathlib.Path(options.recording).stem)
     if is_baked_car(options.recording):
         if options.of_recordings:
-            raise Error(f"{options.recording}: is a baked car, of which only -o applies; leave out the others, or give a recording")
+            raise Error(f"{options.recording}: this is a baked car, so only -o applies; leave out the other options, or give a recording")
         progress("drawing the car")
         print(f"{render_car(options.recording, folder)}: what is solid, hollow and held, drawn in {time.monotonic() - begun:.0f} s")
         return
     with Recording(options.recording) as recording:
         unknown = [car for car in options.cars or () if car not in recording.cars]
         if unknown or not recording.cars:
-            raise Error(f"{options.recording}: no car {', '.join(unknown)} in it; it has: {', '.join(recording.cars) or 'none'}")
+            raise Error(f"{options.recording}: it has no car {', '.join(unknown)}; its cars are: {', '.join(recording.cars) or 'none'}")
         rows = recording.reactions()
         rows = rows[np.isin(rows["car"], options.cars)] if options.cars else rows
         films, clips = [], find_clips(recording, rows, options)
@@ -480,7 +480,7 @@ def render(options: argparse.Namespace) -> None:
             film = read_film(recording, clip, options.speed / options.fps)
             films += [film] if film.moments else []
         if not films:
-            raise Error(f"{options.recording}: no car stands anywhere in that time; choose another by --from and --to")
+            raise Error(f"{options.recording}: no car has a pose in that time; choose another time by --from and --to")
         masses = {life.car: life.mass or _mesh_mass(recording, life.asset) for life in recording.lives}
         cars = list(dict.fromkeys(car for film in films for car in film.clip.cars))
         paint = {car: PAINT[i % len(PAINT)] for i, car in enumerate(cars)}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from crumple import _convert
 from crumple._library import Error, Refused, check, ffi, lib, text
-from crumple.types import CarPose, Health, Mesh, Obstacle, Parameters, Pose, Reaction, Statistics, Surface, Vector, Vertices
+from crumple.types import CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Pose, Reaction, Statistics, Surface, Vector, Vertices
 
 Value = TypeVar("Value")
 
@@ -68,30 +68,54 @@ class View:
         quanta = _array(out.quanta, out.node_count, np.int16)
         return Surface(out.tick, out.hash, out.quantum, text(out.asset), quanta, bool(out.dirty), bool(out.alive))
 
-    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
+    def map(self, asset: str, position: NDArray[np.float32], normal: NDArray[np.float32] | None = None,
+            tangent: NDArray[np.float32] | None = None, to_car: NDArray[np.float64] | None = None) -> OwnMesh:
+        """Binds a mesh of your own to a baked car, so that vertices() moves its vertices, in your order, with your seams and hard
+        edges. All arrays have n x 3 numbers. to_car: 3 x 4, from the coordinates of `position` to the car's frame; None: they are
+        those of the file from which the car was baked. The session must hold the asset: mesh() waits for it."""
+        self.mesh(asset)
+        given = [None if each is None else np.ascontiguousarray(each, np.float32) for each in (position, normal, tangent)]
+        for each in given:
+            if each is not None and (each.ndim != 2 or each.shape != (len(position), 3)):
+                raise ValueError(f"not an array of {len(position)} x 3")
+        matrix = None if to_car is None else np.ascontiguousarray(to_car, np.float64)
+        if matrix is not None and matrix.shape != (3, 4):
+            raise ValueError("to_car is not an array of 3 x 4")
+        places = [ffi.NULL if each is None else ffi.cast("float*", each.ctypes.data) for each in given]
+        own = ffi.new("CrumpleOwnMesh*", [*places, 12, len(position), ffi.NULL if matrix is None
+                                          else ffi.cast("double*", matrix.ctypes.data)])
+        mapping = ffi.new("uint32_t*")
+        check(lib.crumple_map(self._handle, asset.encode(), own, mapping))
+        return OwnMesh(mapping[0], len(position), tangent is not None, own.on_vertices, own.farthest)
+
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0, own: OwnMesh | None = None) -> Vertices | None:
         """Gives positions, displacements and normals. out: arrays to write into, those of an earlier call or the caller's own,
         which may be fields of one structured array. time: a moment of the last half second of Session.time; between two ticks
-        the vertices are on the way from the one to the other; 0: the newest surface. None: the surface or the mesh has not come
-        yet; poll and call again."""
+        the vertices are on the way from the one to the other; 0: the newest surface. own: the vertices of this mesh, in its
+        coordinates. None: the surface or the mesh has not come yet; poll and call again."""
         surface = ffi.new("CrumpleSurface*")
         if check(lib.crumple_surface(self._handle, car.encode(), surface)) == lib.CRUMPLE_PENDING:
             return None
         mesh = self._mesh(text(surface.asset))
         if mesh is None:
             return None
+        shape = (own.count, 3) if own else mesh.vertex.shape
+        tangents = bool(own and own.tangents)
         if out is None:
-            out = Vertices(np.empty_like(mesh.vertex), np.empty_like(mesh.vertex), np.empty_like(mesh.vertex))
-        arrays = (out.position, out.displacement, out.normal)
+            fresh = [np.empty(shape, np.float32) for _ in range(3 + tangents)]
+            out = Vertices(*fresh[:3], tangent=fresh[3] if tangents else None)
+        arrays = (out.position, out.displacement, out.normal) + ((out.tangent,) if tangents else ())
         stride = out.position.strides[0]
         for array in arrays:
-            if array.shape != mesh.vertex.shape or array.dtype != np.float32 or array.strides != (stride, 4):
-                raise ValueError(f"not an array of float32 of {len(mesh.vertex)} x 3 with the strides of the other two")
+            if array is None or array.shape != shape or array.dtype != np.float32 or array.strides != (stride, 4):
+                raise ValueError(f"an array of `out` is not {shape[0]} x 3 of float32, or its strides differ from those of the others")
             if not array.flags.writeable:
                 raise ValueError("an array of `out` is read-only")
         places = [ffi.cast("float*", array.ctypes.data) for array in arrays]
-        to = ffi.new("CrumpleVertices*", [*places, stride, len(mesh.vertex), time])
+        to = ffi.new("CrumpleVertices*", [*places[:3], stride, shape[0], time, 0, 0, own.mapping if own else 0,
+                                          places[3] if tangents else ffi.NULL])
         check(lib.crumple_copy(self._handle, car.encode(), to))
-        return Vertices(*arrays, slice(to.first, to.first + to.count))
+        return Vertices(*arrays[:3], slice(to.first, to.first + to.count), arrays[3] if tangents else None)
 
     def _mesh(self, asset: str) -> Mesh | None:
         if asset in self._meshes:
@@ -171,7 +195,7 @@ class Session(View):
         deadline = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > deadline:
-                raise TimeoutError(f"not so within {timeout:g} s")
+                raise TimeoutError(f"the condition did not become true within {timeout:g} s")
             self.poll(0.1)
         return value
 

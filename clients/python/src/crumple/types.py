@@ -122,6 +122,18 @@ class Vertices:
     displacement: NDArray[np.float32]  # m, from rest
     normal: NDArray[np.float32]
     changed: slice = field(default_factory=lambda: slice(0))
+    tangent: NDArray[np.float32] | None = None  # only of an OwnMesh that has tangents
+
+
+@dataclass(frozen=True)
+class OwnMesh:
+    """A mesh that you draw yourself, bound to a baked car by Session.map()."""
+
+    mapping: int
+    count: int  # vertices
+    tangents: bool
+    on_vertices: int  # vertices that lie on a vertex of the baked car
+    farthest: float  # m, from a vertex to the surface of the baked car
 
 
 @dataclass(frozen=True)

@@ -266,7 +266,7 @@ export class Paint {
       this.#become(regions);
       this.tell(`${name}: ${regions.length} entries`);
     } catch (error) {
-      this.tell(`${name} is no regions file in strict JSON: ${sentence(error)}`, true);
+      this.tell(`${name} is not a regions file in strict JSON: ${sentence(error)}`, true);
     }
   }
 

@@ -193,7 +193,7 @@ export class Tune {
       for (const changes of parameters) if (!(await this.#send(shown, changes))) return;
       this.tell(`${shown.car.id} has ${name}`);
     } catch (error) {
-      this.tell(`${name} is no preset: ${sentence(error)}`, true);
+      this.tell(`${name} is not a preset: ${sentence(error)}`, true);
     }
     this.#show();
   }
