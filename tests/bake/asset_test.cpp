@@ -799,7 +799,7 @@ TEST(Bake, ChoosesTheMesherByTheSurface) {
   const auto report_of = [&](const Surface& surface) {
     BakeOptions options;
     options.input = files.write("body.obj", as_obj(surface));
-    options.nodes = 150;
+    options.nodes = 300;
     std::string report;
     for (const std::string& line : bake(options, {}).report) report += line + "\n";
     return report;
