@@ -28,7 +28,7 @@ PATIENCE = 300  # s
 crash = ["deepest dent [1-9][0-9][0-9] mm", "hash [0-9a-f]{16}", "[1-9][0-9]+ kJ absorbed"]
 # For each manual: the least number of commands, patterns of the output, and the files that its commands make.
 has, says, makes = {
-    "README.md": (4, ["0[.][1-9] m deep, -?[0-9] m/s left"], []),
+    "README.md": (4, ["0[.][1-9] m deep, -?[0-9] m/s now"], []),
     "bench/README.md": (0, [], []),  # its commands take too long for a test
     "recordings/README.md": (2, ["scene main  189 ticks", "m130_wall.mcap: every tick identical"], []),
     "server/README.md": (
