@@ -655,7 +655,7 @@ async function repaint() {
   await commander.replace("painted", hashes[0]);
   await until("what it was at first", () => painted.baked?.regions.every((name) => !name.startsWith("part")));
   for (const hash of hashes.slice(-given)) await commander.spawn(`of-${hash}`, hash, "page", origin);
-  await assert.rejects(paint("part"), /no room for one more baked car.*despawn another first/);
+  await assert.rejects(paint("part"), /no room for one more baked car.*despawn another car first/);
   live.close();
   await end(gateway);
   await end(server);

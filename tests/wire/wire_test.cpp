@@ -185,7 +185,7 @@ TEST(Decode, RefusesTooManyObstaclesAndHullsThatCostTooMuch) {
   for (size_t k = 0; k < 32; ++k) hull.points[k] = {k < 16 ? 0.0f : 1.0f, float(k % 4), float(k / 4 % 4)};
   hulls.assign(13, hull);
   for (uint32_t i = 0; i < hulls.size(); ++i) hulls[i].id = i;
-  expect_refused<ObstacleList>(host::obstacles(1, hulls), Reason::too_many_obstacles, "hulls need 64480 threes");
+  expect_refused<ObstacleList>(host::obstacles(1, hulls), Reason::too_many_obstacles, "hulls need 64480 triples");
   hulls.pop_back();
   expect_taken<ObstacleList>(host::obstacles(1, hulls));
 }

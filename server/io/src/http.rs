@@ -41,9 +41,10 @@ const TRY_AGAIN: Duration = Duration::from_millis(100);
 const CLOSING: Duration = Duration::from_secs(1);
 
 /// A page is one file with its scripts and style, some of them WebAssembly (the hash of a surface). It may talk only to this
-/// server, and no page may show it in a frame.
+/// server, and to files that the user opens in it (data: and blob:), and no page may show it in a frame.
 const MAY: &str = "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
-                   img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
+                   img-src 'self' data: blob:; connect-src 'self' data: blob:; object-src 'none'; base-uri 'none'; \
+                   form-action 'self'; frame-ancestors 'none'";
 const DRESS: [(HeaderName, &str); 4] = [
     (header::CONTENT_SECURITY_POLICY, MAY),
     (header::X_FRAME_OPTIONS, "DENY"),

@@ -31,7 +31,7 @@ from crumple.schema.Pose import PoseT
 from crumple.schema.Poses import Poses
 from crumple.schema.Spawn import Spawn
 from crumple.session import View
-from crumple.types import Mesh, Obstacle, Pose, Shape, Surface, Vertices
+from crumple.types import Mesh, Obstacle, OwnMesh, Pose, Shape, Surface, Vertices
 
 # The most bytes that a chunk may hold, in all and per compressed byte. The server's reader has the same limits.
 CHUNK_MOST, RATIO_MOST = 64 << 20, 256  # bytes
@@ -74,8 +74,8 @@ class Frame(View):
     def surface(self, car: str) -> Surface | None:
         return super().surface(car) if self._seek(car) else None
 
-    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0) -> Vertices | None:
-        return super().vertices(car, out, time) if self._seek(car) else None
+    def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0, own: OwnMesh | None = None) -> Vertices | None:
+        return super().vertices(car, out, time, own) if self._seek(car) else None
 
     def _mesh(self, asset: str) -> Mesh | None:
         if asset not in self._meshes and asset in self._recording.assets:

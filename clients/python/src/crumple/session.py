@@ -99,23 +99,25 @@ class View:
         mesh = self._mesh(text(surface.asset))
         if mesh is None:
             return None
-        shape = (own.count, 3) if own else mesh.vertex.shape
-        tangents = bool(own and own.tangents)
+        shape = (own.count if own else len(mesh.vertex), 3)
+        tangents = own is not None and own.tangents
         if out is None:
-            fresh = [np.empty(shape, np.float32) for _ in range(3 + tangents)]
-            out = Vertices(*fresh[:3], tangent=fresh[3] if tangents else None)
-        arrays = (out.position, out.displacement, out.normal) + ((out.tangent,) if tangents else ())
+            tangent = np.empty(shape, np.float32) if tangents else None
+            out = Vertices(np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32), tangent=tangent)
+        arrays = [out.position, out.displacement, out.normal]
+        if tangents and out.tangent is not None:
+            arrays.append(out.tangent)
         stride = out.position.strides[0]
         for array in arrays:
-            if array is None or array.shape != shape or array.dtype != np.float32 or array.strides != (stride, 4):
+            if array.shape != shape or array.dtype != np.float32 or array.strides != (stride, 4):
                 raise ValueError(f"an array of `out` is not {shape[0]} x 3 of float32, or its strides differ from those of the others")
             if not array.flags.writeable:
                 raise ValueError("an array of `out` is read-only")
         places = [ffi.cast("float*", array.ctypes.data) for array in arrays]
         to = ffi.new("CrumpleVertices*", [*places[:3], stride, shape[0], time, 0, 0, own.mapping if own else 0,
-                                          places[3] if tangents else ffi.NULL])
+                                          places[3] if len(places) > 3 else ffi.NULL])
         check(lib.crumple_copy(self._handle, car.encode(), to))
-        return Vertices(*arrays[:3], slice(to.first, to.first + to.count), arrays[3] if tangents else None)
+        return Vertices(out.position, out.displacement, out.normal, slice(to.first, to.first + to.count), out.tangent)
 
     def _mesh(self, asset: str) -> Mesh | None:
         if asset in self._meshes:
