@@ -15,6 +15,7 @@
 #include "bake/load_car.h"
 #include "bake/order_spatially.h"
 #include "bake/paint_regions.h"
+#include "bake/report_parts.h"
 #include "bake/text_of.h"
 #include "car/build_skin.h"
 #include "car/car.h"
@@ -164,6 +165,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given,
   const Parts parts{surface, tets, constraints, masses, regions, skin, source_to_car};
   report_result(parts, out.report);
   out.car = read_car(serialise(parts, options), options.input);
+  out.distance = skin.distance;
   return out;
 }
 
@@ -183,6 +185,9 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> to_car = input.from_file.affine();
   BakeResult out = assemble_car(input.surface, std::move(tets), options, {to_car.data(), 12});
   out.report.insert(out.report.begin(), report.begin(), report.end());
+  const Model& model = out.car->model;  // its triangles are in the order of the surface
+  const std::vector<std::string> far = report_far_parts(model.vertex, model.triangle, out.distance, input.named);
+  out.report.insert(out.report.end(), far.begin(), far.end());
   return out;
 }
 

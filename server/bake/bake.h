@@ -34,6 +34,7 @@ inline constexpr double default_mass = 1'500;  // kg
 struct BakeResult {
   std::shared_ptr<const Car> car;
   std::vector<std::string> report;  // what was read, made, dropped and reached; one fact per line
+  std::vector<double> distance;     // m, from each vertex of the car to its tet; 0 inside
 };
 
 // Throws std::runtime_error with one sentence: file, fact, remedy.

@@ -17,6 +17,7 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "bake/check_shape.h"
 #include "bake/text_of.h"
 #include "car/car.h"
 #include "io/files.h"
@@ -31,9 +32,15 @@ constexpr size_t most_levels_read = 1000;                  // nesting of nodes: 
 constexpr uintmax_t largest_input = uintmax_t{512} << 20;  // bytes: a car with its textures in one GLB
 constexpr rlim_t reader_memory = rlim_t{2} << 30;          // bytes: four times the largest input
 constexpr unsigned reader_seconds = 300;                   // s; the largest input takes seconds
-// Most bytes of the child's answer: position and colour per vertex, corners per triangle, and some counts.
-constexpr size_t most_answer =
-    most_vertices_read * (3 * sizeof(double) + sizeof(uint32_t)) + most_triangles_read * sizeof(Triangle) + 100;
+constexpr size_t most_names_read = 4096, longest_name = 128;
+// The triangles from `first` up to the next part's. The name is the file's, ends at a zero, and may hold any bytes.
+struct PartRead {
+  uint32_t first = 0;
+  char name[longest_name] = {};
+};
+// Most bytes of the child's answer: position and colour per vertex, corners per triangle, names, and some counts.
+constexpr size_t most_answer = most_vertices_read * (3 * sizeof(double) + sizeof(uint32_t)) +
+                               most_triangles_read * sizeof(Triangle) + most_names_read * sizeof(PartRead) + 100;
 constexpr double flat_below = 0.01;  // shortest side over the longest
 constexpr size_t most_parts = 1000;  // more are a scan's crumbs, not a body: game cars have one to a few hundred
 
@@ -63,6 +70,7 @@ struct Flattened {
   std::vector<Eigen::Vector3d> position;
   std::vector<uint32_t> color;  // 0xrrggbb; only kept when `painted`
   std::vector<Triangle> triangle;
+  std::vector<PartRead> part;
   uint64_t painted = false;
   uint64_t meshes = 0;
   uint64_t not_triangles = 0;
@@ -101,6 +109,18 @@ void append(const aiMesh& mesh, const Eigen::Affine3d& placed, const std::string
   }
 }
 
+// A node may hold several meshes, which differ by their materials.
+void start_part(const aiScene& scene, const aiNode& node, const aiMesh& mesh, Flattened& out) {
+  if (out.part.size() == most_names_read) return;
+  std::string name = (node.mName.length ? node.mName : mesh.mName).C_Str();
+  if (node.mNumMeshes > 1 && mesh.mMaterialIndex < scene.mNumMaterials)
+    name += std::string(" ") + scene.mMaterials[mesh.mMaterialIndex]->GetName().C_Str();
+  if (out.part.size() + 1 == most_names_read) name = "other parts";
+  PartRead part{static_cast<uint32_t>(out.triangle.size()), {}};
+  std::memcpy(part.name, name.data(), std::min(name.size(), longest_name));
+  out.part.push_back(part);
+}
+
 void flatten(const aiScene& scene, const aiNode& node, const Eigen::Affine3d& above, size_t level, const std::string& name,
              Flattened& out) {
   if (level > most_levels_read)
@@ -109,7 +129,11 @@ void flatten(const aiScene& scene, const aiNode& node, const Eigen::Affine3d& ab
   Eigen::Affine3d own;
   own.matrix() << m.a1, m.a2, m.a3, m.a4, m.b1, m.b2, m.b3, m.b4, m.c1, m.c2, m.c3, m.c4, 0, 0, 0, 1;
   const Eigen::Affine3d placed = above * own;
-  for (unsigned i = 0; i < node.mNumMeshes; ++i) append(*scene.mMeshes[node.mMeshes[i]], placed, name, out);
+  for (unsigned i = 0; i < node.mNumMeshes; ++i) {
+    const aiMesh& mesh = *scene.mMeshes[node.mMeshes[i]];
+    start_part(scene, node, mesh, out);
+    append(mesh, placed, name, out);
+  }
   for (unsigned i = 0; i < node.mNumChildren; ++i) flatten(scene, *node.mChildren[i], placed, level + 1, name, out);
 }
 
@@ -157,6 +181,7 @@ std::string packed(const Flattened& surface) {
   pack(surface.position, text);
   pack(surface.color, text);
   pack(surface.triangle, text);
+  pack(surface.part, text);
   pack(std::vector<uint64_t>{surface.painted, surface.meshes, surface.not_triangles}, text);
   return text;
 }
@@ -164,7 +189,7 @@ std::string packed(const Flattened& surface) {
 bool unpacked(std::string_view text, Flattened& surface) {
   std::vector<uint64_t> numbers;
   if (!unpack(text, surface.position) || !unpack(text, surface.color) || !unpack(text, surface.triangle) ||
-      !unpack(text, numbers) || numbers.size() != 3)
+      !unpack(text, surface.part) || !unpack(text, numbers) || numbers.size() != 3 || surface.part.size() > most_names_read)
     return false;
   surface.painted = numbers[0];
   surface.meshes = numbers[1];
@@ -297,7 +322,7 @@ Eigen::Affine3d placement(const std::vector<Eigen::Vector3d>& positions, const I
   if (longest < shortest_car || longest > longest_car)
     refuse(name, "it measures " + size + ", but the longest side of a car must be from " + text_of(shortest_car) + " to " +
                      text_of(longest_car) + " m; give the size of one unit of the file in metres, perhaps --scale " +
-                     text_of(options.scale * std::pow(10, std::round(std::log10(4.5 / longest)))) + ".");
+                     likely_scale(longest / options.scale) + ".");
   if (shortest < flat_below * longest) refuse(name, "it is flat (" + size + "); a car needs a body with an inside.");
   return Eigen::Translation3d(-box.center().x(), -box.center().y(), -box.min().z()) * turned;
 }
@@ -318,6 +343,20 @@ void drop_unused(Surface& surface, const std::vector<uint8_t>& used) {
     for (uint32_t& vertex : triangle) vertex = place[vertex];
 }
 
+// The names are a stranger's text: only printable ASCII is shown.
+std::vector<NamedPart> named_parts(const std::vector<PartRead>& read, const std::vector<uint32_t>& kept) {
+  std::vector<NamedPart> out;
+  for (const PartRead& part : read) {
+    std::string name(part.name, strnlen(part.name, longest_name));
+    for (char& c : name) c = c >= ' ' && c <= '~' ? c : '?';
+    if (name.find_first_not_of(' ') == name.npos) name = "a part without a name";
+    const auto first = std::lower_bound(kept.begin(), kept.end(), part.first);
+    out.push_back({std::move(name), static_cast<size_t>(first - kept.begin())});
+  }
+  std::stable_sort(out.begin(), out.end(), [](const NamedPart& a, const NamedPart& b) { return a.first < b.first; });
+  return out;
+}
+
 }  // namespace
 
 ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, const std::vector<uint32_t>& colors,
@@ -332,10 +371,12 @@ ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, con
 
   const std::vector<uint32_t> first = weld(surface.vertex);
   std::vector<uint8_t> used(positions.size(), 0);
-  for (Triangle t : triangles) {
+  for (uint32_t i = 0; i < triangles.size(); ++i) {
+    Triangle t = triangles[i];
     for (uint32_t& vertex : t) vertex = first[vertex];
     if (degenerate(surface.vertex[t[0]], surface.vertex[t[1]], surface.vertex[t[2]])) continue;
     surface.triangle.push_back(t);
+    out.kept.push_back(i);
     for (uint32_t vertex : t) used[vertex] = 1;
   }
   if (surface.triangle.empty()) refuse(name, "none of its triangles has an area; export the mesh again.");
@@ -379,8 +420,11 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
   if (chosen.up.empty()) chosen.up = gltf ? "y" : "z";
   ImportedSurface out =
       place_surface(flat.position, flat.painted ? flat.color : std::vector<uint32_t>{}, flat.triangle, chosen, file.string());
+  out.named = named_parts(flat.part, out.kept);
   out.report.insert(out.report.begin(), std::to_string(flat.meshes) + (flat.meshes == 1 ? " mesh" : " meshes") +
                                             " read; the file's " + chosen.forward + " is forward, its " + chosen.up + " is up");
+  const std::vector<std::string> shape = check_shape(out.surface, chosen);
+  out.report.insert(out.report.end(), shape.begin(), shape.end());
   if (flat.not_triangles)
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
   return out;

@@ -20,11 +20,19 @@ struct ImportOptions {
   double scale = 1;  // metres per unit of the file
 };
 
+// A node of the file. Its triangles are those from `first` up to the first of the next part.
+struct NamedPart {
+  std::string name;  // at most 128 bytes of printable ASCII
+  size_t first = 0;
+};
+
 struct ImportedSurface {
   Surface surface;
-  Eigen::Affine3d from_file;  // from the file's coordinates to the car's frame
-  size_t parts = 0;           // connected pieces
-  size_t open_edges = 0;      // edges of only one triangle
+  Eigen::Affine3d from_file;     // from the file's coordinates to the car's frame
+  size_t parts = 0;              // connected pieces
+  size_t open_edges = 0;         // edges of only one triangle
+  std::vector<uint32_t> kept;    // for each triangle, its index before some were dropped; ascending
+  std::vector<NamedPart> named;  // at most 4096, the last of which holds all others; none: the file has no names
   std::vector<std::string> report;
 };
 

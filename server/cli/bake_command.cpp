@@ -6,11 +6,13 @@
 #include <filesystem>
 #include <stdexcept>
 
+#include "cli/render.h"
+
 namespace crumple {
 
 namespace {
 
-void bake_one(const BakeOptions& options, const std::filesystem::path& output) {
+int bake_one(const BakeOptions& options, const std::filesystem::path& output, const std::string& pictures) {
   const bool terminal = isatty(STDERR_FILENO);
   const BakeResult result = bake(options, [&](const std::string& what) {
     if (terminal) std::fprintf(stderr, "\r%s\x1b[K", what.c_str());
@@ -19,6 +21,13 @@ void bake_one(const BakeOptions& options, const std::filesystem::path& output) {
   write_car(*result.car, output);
   for (const std::string& line : result.report) std::printf("%s\n", line.c_str());
   std::printf("%s  %s  %s\n", output.c_str(), result.car->hash.c_str(), result.car->attribution.c_str());
+  if (pictures.empty()) return 0;
+  std::fflush(stdout);
+  try {
+    return render({std::filesystem::absolute(output).string(), "--output=" + pictures});
+  } catch (const std::runtime_error& refused) {
+    throw std::runtime_error(output.string() + ": the car is baked, but not its picture: " + refused.what());
+  }
 }
 
 }  // namespace
@@ -38,13 +47,13 @@ int bake_command(const BakeCommandOptions& options) {
         "--attribution, or bake from the surface again.");
   if (!options.mesher.empty()) one.mesher = options.mesher == "lattice" ? Mesher::lattice : Mesher::ftetwild;
   if (!options.regions.empty()) one.regions = read_regions(options.regions);
-  if (options.nodes.empty()) bake_one(one, options.output);
+  if (options.nodes.empty()) return bake_one(one, options.output, options.pictures);
   for (const size_t nodes : options.nodes) {
     one.nodes = nodes;
     std::filesystem::path output = options.output;
     if (options.nodes.size() > 1)
       output.replace_filename(output.stem().string() + "-" + std::to_string(nodes) + output.extension().string());
-    bake_one(one, output);
+    if (const int status = bake_one(one, output, options.pictures)) return status;
   }
   return 0;
 }

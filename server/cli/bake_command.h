@@ -14,6 +14,7 @@ struct BakeCommandOptions {
   std::string mesher;             // lattice or ftetwild; empty: as the surface needs
   std::filesystem::path regions;  // schema/regions.fbs as JSON; empty: none
   std::string output;             // the baked car; with several levels NAME-NODES.car
+  std::string pictures;           // the folder for a picture of each baked car (cli/render.h); empty: none
 };
 
 // Returns the exit code. Throws std::runtime_error with one sentence: file, fact, remedy.

@@ -113,6 +113,11 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
           "that this program makes itself")
       ->required();
   verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
+  verb.add_option(
+          "--pictures", options.pictures,
+          "also draws the car into this folder, as CAR.png: its surface, its front, what is solid, hollow and held; the "
+          "same as `crumple render CAR -o FOLDER`")
+      ->type_name("FOLDER");
   verb.add_option("--nodes", options.nodes,
                   "wanted number of nodes, met within 5 % by the lattice and 15 % by fTetWild; several, as in 1000,5000: "
                   "levels of the car, in CAR-1000.car ...; "
@@ -141,7 +146,8 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
   verb.footer(
       "Examples: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'\n"
-      "          crumple bake m130.car --regions painted.json -o painted.car");
+      "          crumple bake m130.car --regions painted.json -o painted.car\n"
+      "          crumple bake vehicle.glb -o car.car --pictures pictures");
   return [&options] { return bake_command(options); };
 }
 
@@ -336,7 +342,8 @@ Verb add_export(CLI::App& app, ExportOptions& options) {
 }
 
 Verb add_render(CLI::App& app) {
-  CLI::App& verb = *app.add_subcommand("render", "Draws a recording: an animation in slow motion, a contact sheet, charts");
+  CLI::App& verb =
+      *app.add_subcommand("render", "Draws a recording: slow motion, a contact sheet, charts; or a baked car: what is solid");
   verb.set_help_flag();
   verb.prefix_command();
   return [&verb] { return render(verb.remaining()); };

@@ -1,5 +1,5 @@
-// `crumple render FILE`: draws pictures of a recording with the Python package (crumple.render), which explains its own
-// options.
+// `crumple render FILE`: draws pictures of a recording or a baked car with the Python package (crumple.render), which explains
+// its own options.
 #pragma once
 
 #include <string>

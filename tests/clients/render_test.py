@@ -1,4 +1,4 @@
-"""Tests `crumple render` with the recordings of the repository: the pictures, and the errors.
+"""Tests `crumple render` with the recordings of the repository, and with baked boxes: the pictures, and the errors.
 
     python tests/clients/render_test.py build/crumple [unittest's options]
 """
@@ -15,7 +15,7 @@ import unittest
 import numpy as np
 from PIL import Image
 
-from crumple import Obstacle, Pose, Recording, Shape
+from crumple import Obstacle, Pose, Recording, Shape, car_sheet
 from crumple.render import BEFORE, Moment, Stage, find_clips, matrix, obstacle_mesh, read_film, sheet_moments
 from crumple.trace import Scene
 
@@ -141,6 +141,137 @@ class ThePictures(unittest.TestCase):
                 still = moment.dent["car"] < 1e-3
                 expected = mesh.vertex[still] @ matrix(row["orientation"][0]).T + row["position"][0]
                 self.assertLess(np.abs(moment.vertex["car"][still] - expected).max(), 2e-3)
+
+
+def box_in_cells(hollow):
+    """A box of 4.5 x 1.8 x 1.5 m in cells of 0.25 x 0.15 x 0.15 m with six tets each; if it is hollow, in the outermost cells
+    only. Gives OBJ and Medit files, of a surface with an aerial on its roof."""
+    count, size = np.array([18, 12, 10]), np.array([0.25, 0.15, 0.15])
+    axes = [np.arange(n + 1) * d for n, d in zip(count, size)]
+    node = np.stack(np.meshgrid(*axes, indexing="ij"), 3).reshape(-1, 3)
+    stride = np.array([(count[1] + 1) * (count[2] + 1), count[2] + 1, 1])
+    tets = []
+    for cell in np.ndindex(*count):
+        if hollow and all(0 < c < n - 1 for c, n in zip(cell, count)):
+            continue
+        for order in itertools.permutations(range(3)):
+            steps = np.cumsum([stride[k] for k in order])
+            tets.append([int(np.dot(cell, stride))] + [int(np.dot(cell, stride) + step) for step in steps])
+    used = np.unique(tets)
+    lines = [f"{x:.4f} {y:.4f} {z:.4f} 0" for x, y, z in node[used]]
+    tets = [" ".join(map(str, row)) + " 0" for row in np.searchsorted(used, tets) + 1]
+    medit = ["MeshVersionFormatted 2", "Dimension 3", "Vertices", str(len(lines)), *lines, "Tetrahedra", str(len(tets)), *tets, "End"]
+    corner = np.array([*np.ndindex(2, 2, 2)]) * count * size
+    aerial = np.array([[2.0, 0.8, 1.5], [2.1, 0.8, 1.5], [2.05, 0.85, 1.5], [2.05, 0.82, 1.9]])
+    side = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    faces = [*side, (9, 11, 10), (9, 10, 12), (10, 11, 12), (11, 9, 12)]
+    surface = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in np.concatenate([corner, aerial])]
+    return "\n".join(surface + [f"f {' '.join(map(str, face))}" for face in faces]) + "\n", "\n".join(medit) + "\n"
+
+
+REGIONS = """{ "regions": [
+  { "name": "cell $x$", "anchored": true, "box": { "center": {"x": -1.2, "y": 0, "z": 0.1}, "half": {"x": 0.6, "y": 1, "z": 0.4} } },
+  { "name": "nose", "box": { "center": {"x": 2.2, "y": 0, "z": 0.8}, "half": {"x": 0.8, "y": 1, "z": 0.8} } } ] }"""
+
+
+class ThePictureOfACar(unittest.TestCase):
+    """The pixels of the PNG, at places that the panels' axes give."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = pathlib.Path(cls.enterClassContext(tempfile.TemporaryDirectory()))
+        cls.pixels, cls.cars = {}, {}
+        (cls.folder / "regions.json").write_text(REGIONS)
+        for name in ("solid", "hollow"):
+            surface, tets = box_in_cells(name == "hollow")
+            (cls.folder / f"{name}.obj").write_text(surface)
+            (cls.folder / f"{name}.mesh").write_text(tets)
+            subprocess.run([PROGRAM, "bake", f"{name}.obj", "--tets", f"{name}.mesh", "-o", f"{name}.car", "--mass", "1234",
+                            "--regions", "regions.json", "--pictures", "out"], cwd=cls.folder, check=True, stdout=subprocess.DEVNULL)
+            cls.pixels[name] = np.array(Image.open(cls.folder / "out" / f"{name}.png").convert("RGB"))
+            cls.cars[name] = car_sheet.read_baked(cls.folder / f"{name}.car")
+        _, cls.panels = car_sheet.draw_sheet(cls.cars["solid"])  # they have the same surface, and so the same places
+
+    def share(self, name, panel, place, color, reach=6):
+        """Of the pixels around a place of a panel, the share that has this colour."""
+        x, y = self.panels[panel].transData.transform(place)
+        row, column = round(self.pixels[name].shape[0] - y), round(x)
+        part = self.pixels[name][row - reach : row + reach + 1, column - reach : column + reach + 1].astype(int)
+        return (np.abs(part - 255 * car_sheet.to_rgb(color)).max(2) < 30).mean()
+
+    def test_a_cut_shows_what_is_solid_and_what_is_hollow(self):
+        for panel, place in (("lengthwise", (0.1, 0.8)), ("across", (0.1, 0.8)), ("axle", (-0.1, 0.8))):
+            self.assertGreater(self.share("solid", panel, place, car_sheet.SOLID), 0.5, panel)
+            self.assertEqual(self.share("solid", panel, place, car_sheet.HOLLOW), 0, panel)
+            self.assertGreater(self.share("hollow", panel, place, car_sheet.HOLLOW), 0.95, panel)
+            self.assertEqual(self.share("hollow", panel, place, car_sheet.SOLID), 0, panel)
+        self.assertGreater(self.share("hollow", "lengthwise", (0.6, 0.07), car_sheet.SOLID, 3), 0.6, "the floor is solid")
+        for name in self.pixels:
+            self.assertGreater(self.share(name, "lengthwise", (0, 1.58), "white"), 0.9, "above the roof is air")
+
+    def test_tets_that_are_held_have_their_own_colour(self):
+        self.assertGreater(self.share("solid", "lengthwise", (-1.2, 0.2), car_sheet.HELD), 0.8)
+        self.assertEqual(self.share("solid", "lengthwise", (1.2, 0.2), car_sheet.HELD), 0)
+        anchored = self.cars["solid"].node[self.cars["solid"].anchored]
+        for panel, flat in (("regions side", [0, 2]), ("regions above", [0, 1])):
+            ringed = [self.share("solid", panel, node[flat], car_sheet.HELD, 4) for node in anchored[::7]]
+            self.assertGreater(min(ringed), 0.05, panel)
+            self.assertEqual(self.share("solid", panel, (0.5, 0.4), car_sheet.HELD, 10), 0, panel)
+
+    def test_regions_have_their_colours(self):
+        nose = car_sheet.REGIONS[self.cars["solid"].regions.index("nose")]
+        self.assertGreater(self.share("solid", "regions side", (1.8, 0.8), nose, 20), 0.005)
+        self.assertEqual(self.share("solid", "regions side", (0.5, 0.8), nose, 20), 0)
+
+    def test_the_arrow_points_from_the_front(self):
+        for panel, height in (("side", 0.95), ("above", 0), ("lengthwise", 0.95), ("regions side", 0.95), ("regions above", 0)):
+            self.assertGreater(self.share("solid", panel, (2.6, height), "black", 10), 0.1, panel)
+            self.assertEqual(self.share("solid", panel, (-2.4, height), "black", 5), 0, panel)
+
+    def test_a_part_far_outside_the_tets_is_red(self):
+        def red(panel):
+            low, high = (self.panels[panel].transAxes.transform(corner).astype(int) for corner in ((0, 0), (1, 1)))
+            rows = self.pixels["solid"].shape[0]
+            r, g, b = np.moveaxis(self.pixels["solid"][rows - high[1] : rows - low[1], low[0] : high[0]].astype(int), 2, 0)
+            return np.argwhere((r > 2 * g) & (r > 2 * b) & (g < 60)), np.array([high[1] - low[1], high[0] - low[0]])
+
+        for panel in ("side", "front", "tets"):
+            self.assertGreater(len(red(panel)[0]), 20, panel)
+        where, shape = red("side")
+        self.assertLess(where[:, 0].max() / shape[0], 0.35, "it is red below the aerial too")
+
+    def test_the_caption_has_the_numbers_of_the_car(self):
+        car = self.cars["solid"]
+        self.assertEqual((len(car.node), len(car.tet)), (19 * 13 * 11, 18 * 12 * 10 * 6))
+        size, surface, credits = car_sheet.captions(car)
+        self.assertIn("4.50 x 1.80 x 1.90 m (length x width x height)    1234 kg    2,717 nodes    12,960 tets", size)
+        self.assertIn(f"smallest dihedral angle {car_sheet.smallest_dihedral(car.node, car.tet):.1f}", size)
+        self.assertAlmostEqual(car_sheet.smallest_dihedral(car.node, car.tet), np.degrees(np.arctan2(0.15, 0.25)), 1)
+        self.assertIn("mean 33.3 mm, largest 400 mm; 1 farther than 40 mm", surface)
+        self.assertEqual(credits, "Car: not stated")
+
+    def test_a_car_that_is_none_is_told_in_one_sentence(self):
+        data = (self.folder / "solid.car").read_bytes()
+        (self.folder / "cut.car").write_bytes(data[:5000])
+        (self.folder / "forged.car").write_bytes(data[:64] + bytes([255] * 64) + data[128:])
+        (self.folder / "taken").write_text("")
+        for part, *arguments in (("cut.car: ", "cut.car"), ("forged.car: ", "forged.car"), ("taken", "solid.car", "-o", "taken"),
+                                 ("solid.car: is a baked car, of which only -o applies", "solid.car", "--speed", "0.1")):
+            done = subprocess.run([PROGRAM, "render", *arguments], cwd=self.folder, text=True, capture_output=True)
+            self.assertEqual((done.returncode, done.stderr.count("\n")), (1, 1), done)
+            self.assertIn(part, done.stderr)
+        done = subprocess.run([PROGRAM, "bake", "solid.car", "-o", "again.car", "--pictures", "taken"], cwd=self.folder, text=True,
+                              capture_output=True)
+        self.assertEqual(done.returncode, 1, done)
+        self.assertIn("again.car: the car is baked, but not its picture: taken", done.stderr)
+        self.assertTrue((self.folder / "again.car").exists())
+
+    def test_the_verb_draws_a_car_as_the_bake_does(self):
+        done = subprocess.run([PROGRAM, "render", "hollow.car", "-o", "again"], cwd=self.folder, text=True, capture_output=True)
+        self.assertEqual((done.returncode, done.stderr), (0, ""), done)
+        self.assertEqual([each.name for each in (self.folder / "again").iterdir()], ["hollow.png"])
+        with Image.open(self.folder / "again/hollow.png") as picture:
+            self.assertTrue((np.array(picture.convert("RGB")) == self.pixels["hollow"]).all())
 
 
 class TheVerb(unittest.TestCase):

@@ -29,5 +29,7 @@ for commands in blocks:
 hit = re.search(r"km/h .* g +(\d+) mm +(\d+) mm", said)
 if not hit or int(hit[2]) < 100:
     sys.exit("no crash into a pole at 50 km/h")
+if not (folder / "car/mine.png").read_bytes().startswith(b"\x89PNG"):
+    sys.exit("car/mine.png is no picture")
 if not (folder / "pictures/contact_sheet.jpg").read_bytes().startswith(b"\xff\xd8"):
     sys.exit("pictures/contact_sheet.jpg is no picture")

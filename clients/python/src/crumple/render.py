@@ -1,4 +1,5 @@
-"""`crumple render` draws a recording: an animation, a contact sheet and charts. It writes into the folder:
+"""`crumple render` draws a baked car (crumple.car_sheet), or a recording: an animation, a contact sheet and charts. Of a recording
+it writes into the folder:
   animation.webp      the crash in slow motion, again and again; below 1 MB if it is short
   contact_sheet.jpg   its moments, close together where the car gives way
   reactions.png       deceleration, energy absorbed, deepest dent and contacts over time
@@ -27,9 +28,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from crumple._library import Error
+from crumple.car_sheet import is_baked_car, render_car
 from crumple.recording import Recording, _obstacle_of
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
-from crumple.trace import Array, Camera, Mesh, Scene
+from crumple.trace import Array, Camera, Mesh, Scene, framed
 from crumple.types import Obstacle, Pose, Shape
 
 matplotlib.use("Agg")
@@ -42,7 +44,6 @@ CONCRETE, STEEL = (0.62, 0.61, 0.58), (0.86, 0.72, 0.16)
 BEFORE, AFTER = 0.25, 0.6  # s that a clip shows before and after its dents
 GAP = 1.2  # s without a dent, after which another clip begins
 MOST_CLIPS = 4
-VIEW = 20.0  # degrees from bottom to top
 MOST_BYTES = 1_000_000
 MOST_FRAMES = 1000  # because all are held in memory
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -282,23 +283,6 @@ class Stage:
         return found
 
 
-def framed(toward: Array, points: Array, width: int, height: int, sun: float) -> Camera:
-    """Gives a camera in this direction from the points, as near as it can be and still see them all."""
-    toward = toward / np.linalg.norm(toward)
-    right = np.cross(-toward, [0, 0, 1])
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(right, -toward)])
-    target = points.mean(0)
-    steep = 0.9 * np.tan(np.radians(VIEW) / 2) * np.array([width / height, 1])
-    away = 0.0
-    for _ in range(3):
-        at, depth = (points - target) @ axes.T, (points - target) @ -toward
-        away = float((np.abs(at) / steep - depth[:, None]).max())
-        flat = at / (away + depth)[:, None]
-        target = target + away * ((flat.max(0) + flat.min(0)) / 2) @ axes
-    return Camera(target + away * toward, target, width, height, VIEW, sun)
-
-
 def draw(task: tuple[Stage, Moment]) -> Array:
     stage, moment = task
     return stage.scene(moment).picture(stage.camera)
@@ -474,6 +458,12 @@ def number(low: float, high: float) -> Callable[[str], float]:
 def render(options: argparse.Namespace) -> None:
     begun, progress = time.monotonic(), Progress()
     folder = pathlib.Path(options.output or pathlib.Path(options.recording).stem)
+    if is_baked_car(options.recording):
+        if options.of_recordings:
+            raise Error(f"{options.recording}: is a baked car, of which only -o applies; leave out the others, or give a recording")
+        progress("drawing the car")
+        print(f"{render_car(options.recording, folder)}: what is solid, hollow and held, drawn in {time.monotonic() - begun:.0f} s")
+        return
     with Recording(options.recording) as recording:
         unknown = [car for car in options.cars or () if car not in recording.cars]
         if unknown or not recording.cars:
@@ -528,11 +518,13 @@ def _mesh_mass(recording: Recording, asset: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="crumple render", description="Draws a recording as an animation in slow motion, a contact sheet and charts.",
-        epilog="Example: crumple render today.mcap -o pictures --speed 0.1", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+        prog="crumple render", formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        description="Draws a recording as an animation in slow motion, a contact sheet and charts. Draws a baked car as one picture of "
+        "what is solid, hollow and held, and where its front is.",
+        epilog="Examples: crumple render today.mcap -o pictures --speed 0.1; crumple render car.car -o pictures")
     none: dict[str, Any] = {"default": argparse.SUPPRESS}
     parser.set_defaults(output="", start=None, to=None, cars=None)
-    parser.add_argument("recording", metavar="FILE", help="the recording")
+    parser.add_argument("recording", metavar="FILE", help="the recording, or the baked car: of a car only -o applies")
     parser.add_argument("-o", "--output", metavar="FOLDER",
                         help="where it writes (default: the name of FILE without its ending)", **none)
     parser.add_argument("--from", metavar="S", dest="start", type=float,
@@ -545,7 +537,8 @@ def main() -> None:
     parser.add_argument("--size", metavar="WxH", type=size_of, default="960x540", help="size of the animation, pixels")
     parser.add_argument("--sheet", action="store_true", help="leave out the animation, which is quicker")
     parser.add_argument("--frames", action="store_true", help="write every frame as a PNG too")
-    options = parser.parse_args()
+    options, bare = parser.parse_args(), parser.parse_args(["FILE"])
+    options.of_recordings = any(vars(options)[name] != value for name, value in vars(bare).items() if name not in ("recording", "output"))
     try:
         render(options)
     except OSError as error:

@@ -20,6 +20,7 @@ SUN_SIZE = 0.06  # radians, so that shadows on the ground have soft edges
 GRID = 0.05  # m between the points at which the light on the ground is computed; it varies slowly
 AROUND = 2.0  # m around everything: farther out nothing shades the ground
 NEAR = 2e-3  # m from its surface at which a ray begins
+VIEW = 20.0  # degrees from bottom to top
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,23 @@ class Camera:
         """Gives directions through points of the picture, which are in pixels from its upper left corner."""
         flat = np.stack([(x - self.width / 2) / self.focal, (self.height / 2 - y) / self.focal, np.ones_like(x)], 1)
         return _unit(flat.astype(np.float32) @ self.axes)
+
+
+def framed(toward: Array, points: Array, width: int, height: int, sun: float) -> Camera:
+    """Gives a camera in this direction from the points, as near as it can be and still see them all."""
+    toward = toward / np.linalg.norm(toward)
+    right = np.cross(-toward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(right, -toward)])
+    target = points.mean(0)
+    steep = 0.9 * np.tan(np.radians(VIEW) / 2) * np.array([width / height, 1])
+    away = 0.0
+    for _ in range(3):
+        at, depth = (points - target) @ axes.T, (points - target) @ -toward
+        away = float((np.abs(at) / steep - depth[:, None]).max())
+        flat = at / (away + depth)[:, None]
+        target = target + away * ((flat.max(0) + flat.min(0)) / 2) @ axes
+    return Camera(target + away * toward, target, width, height, VIEW, sun)
 
 
 def _unit(vectors: Array) -> Array:
