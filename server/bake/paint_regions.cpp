@@ -49,6 +49,12 @@ void paint_by_color(const TetMesh& mesh, const Surface& surface, Regions& region
   if (surface.color.empty()) return;
   std::map<uint32_t, uint8_t> region_of;
   for (uint32_t color : surface.color) region_of[color] = 0;
+  const size_t painted = region_of.size() - region_of.count(0xffffff);
+  if (painted > max_regions - 2) {  // beside "body" and "cell"; so many are shading, not regions
+    report.push_back("not painted: the surface has " + std::to_string(painted) +
+                     " vertex colours, more than a car has regions");
+    return;
+  }
   for (auto& [color, region] : region_of) {
     char name[8];
     std::snprintf(name, sizeof name, "#%06x", color & 0xffffffu);

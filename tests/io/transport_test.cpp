@@ -502,9 +502,10 @@ TEST(Net, PublishesAnewOnAKeyThatWasWithdrawn) {
   ASSERT_EQ(net_subscribe(client.get(), "t/7/key", 10, NET_LONGEST), TRANSPORT_OK);
   ASSERT_TRUE(wait_for_subscriber(peer, "t/7/key"));
   ASSERT_EQ(put(peer, "t/7/key", "again"), TRANSPORT_OK);
-  const auto came = collect(client, 1);
-  ASSERT_EQ(came.size(), 1u);
-  EXPECT_EQ(came[0].data, "again");
+  std::string last;  // the first may leave after the client has subscribed
+  for (const auto end = Clock::now() + deadline; last != "again" && Clock::now() < end;)
+    for (const Kept& event : poll(client, 50'000)) last = event.data;
+  EXPECT_EQ(last, "again");
 }
 
 // A game with the client library does not handle SIGPIPE.
