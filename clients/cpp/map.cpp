@@ -21,7 +21,7 @@ std::optional<Matrix> matrix_of(const CrumpleOwnMesh& mesh, const Asset& asset) 
   } else {
     const auto* stored = crumple::schema::GetCar(asset.baked.bytes().data())->source_to_car();
     if (!stored || stored->size() != 12) return {};
-    std::copy(stored->begin(), stored->end(), out.begin());
+    std::memcpy(out.data(), stored->Data(), sizeof out);  // a hostile car may not have it aligned
   }
   return out;
 }

@@ -182,7 +182,7 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
       std::vector<uint8_t> moved(own->position.size());
       for (size_t i = 0; i < moved.size(); ++i)
         for (size_t k = 0; k < 3; ++k)
-          if (own->mapping.weight[i][k] > 0) moved[i] |= session->moved[own->mapping.corner[i][k]];
+          if (own->mapping.weight[i][k] != 0) moved[i] |= session->moved[own->mapping.corner[i][k]];
       session->moved.swap(moved);
     }
     const auto begin = session->moved.begin(), end = begin + static_cast<ptrdiff_t>(count);

@@ -312,12 +312,12 @@ public sealed class Session : IDisposable {
   public bool TrySurface(string car, out Surface surface) { return Check(Native.crumple_surface(Open, Id(car), out surface)) == 0; }
   /// Returns false while the surface or its mesh is missing.
   public bool Copy(string car, ref Vertices vertices) { return Check(Native.crumple_copy(Open, Id(car), ref vertices)) == 0; }
-  /// Asks the server for the mesh and returns false until it has come: poll and call again.
   /// Binds your own mesh to a baked car: for Vertices.Mapping. False: the asset has not come yet.
   public bool TryMap(string asset, ref OwnMesh mesh, out uint mapping) {
     return Check(Native.crumple_map(Open, Id(asset), ref mesh, out mapping)) == 0;
   }
 
+  /// Asks the server for the mesh and returns false until it has come: poll and call again.
   public bool TryMesh(string asset, out Mesh mesh) { return Check(Native.crumple_mesh(Open, Id(asset), out mesh)) == 0; }
 
   IntPtr Open {

@@ -57,7 +57,7 @@ void weigh(Following& all, FollowedCar& car) {
   all.held -= std::exchange(car.held, 0);
   for (const Surface* one : {&car.surface, &car.coming})
     for (const Quanta* quanta : {&one->quanta, &one->key, &one->key_parts.quanta, &one->delta_parts.quanta})
-      car.held += quanta->size() * sizeof(int16_t);
+      car.held += quanta->capacity() * sizeof(int16_t);
   all.held += car.held;
 }
 
@@ -69,10 +69,10 @@ void erase(Following& all, Cars::iterator at) {
 
 // Forgets the car without a token that has been silent longest, so that a scene may use new ids for ever. False if all cars
 // have tokens.
-bool forget_one(Following& all) {
+bool forget_one(Following& all, const FollowedCar* besides = nullptr) {
   auto oldest = all.cars.end();
   for (auto at = all.cars.begin(); at != all.cars.end(); ++at) {
-    if (at->second.alive || at->second.named) continue;
+    if (at->second.alive || at->second.named || &at->second == besides) continue;
     if (oldest == all.cars.end() || at->second.last < oldest->second.last) oldest = at;
   }
   if (oldest == all.cars.end()) return false;
@@ -94,7 +94,7 @@ Entry* followed(Following& all, std::string_view id) {
 void change_level(Following& all, const std::string& id, FollowedCar& car, int level, Time now) {
   if (car.level == level) return;
   car.level = level;
-  car.surface.key.clear();  // no delta of the new level refers to it
+  car.surface.key = {};  // no delta of the new level refers to it
   begin_anew(all, car);
   if (car.alive) ask_for_keyframe(all, id, car, now);
 }
@@ -108,9 +108,13 @@ SurfaceNews take_surface(Following& all, Entry& entry, bool keyframe, bool asked
   const uint64_t key_before = surface.key.empty() ? 0 : surface.key_tick;
   Outcome outcome = keyframe ? apply_keyframe(bytes, surface) : apply_delta(bytes, surface);
   weigh(all, car);
+  while (all.held > surfaces_limit && forget_one(all, &car)) {
+  }
   if (all.held > surfaces_limit) {
+    const int tries = std::max(car.tries, 1);  // it will be asked for less and less often
     car.surface = {};
     begin_anew(all, car);
+    car.tries = tries;
     weigh(all, car);
     outcome = {Applied::refused, "the surfaces of all followed cars would need more than 1 GiB"};
     return {&id, &car, std::move(outcome), asked_for, false};

@@ -29,7 +29,7 @@ inline constexpr std::chrono::milliseconds on_its_way{100};
 // have. Beyond it the viewer forgets cars without tokens, the longest silent first.
 inline constexpr size_t cars_limit = 4'096;
 // Bytes of all surfaces: the largest has 1.2 MB, and the viewer holds it four times at most. A forged part of 192 bytes can
-// state such a size. The car whose message would exceed the limit loses its surface.
+// state such a size. Beyond the limit the viewer forgets cars without tokens; then the car of the message loses its surface.
 inline constexpr size_t surfaces_limit = size_t{1} << 30;
 // Invented cars also make each viewer ask for cars that are not there: eight viewers and 4,000 invented cars deafened a router
 // for 26 s. So a viewer waits for the answers to at most this many questions, and asks less and less often for a keyframe that

@@ -193,7 +193,7 @@ typedef struct CrumpleSurface {
   float quantum;          // m; of the level that the session holds
   const char* asset;      // hash of the baked car
   const int16_t* quanta;  // 3 for each node: displacement from rest in quanta, car's frame
-  int dirty;              // 1: crumple_copy has not given this surface yet
+  int dirty;              // 1: crumple_copy has not given this surface yet; if you have several meshes, copy all of them then
   int alive;              // 0: the car was despawned, or its server is gone; without a network always 1
 } CrumpleSurface;
 // CRUMPLE_PENDING means: the session follows the car, but no whole surface has come yet; or nobody polled the session for half

@@ -200,7 +200,7 @@ class Tree {
       distance = to;
       onVertex = true;
     });
-    if (onVertex !== best.onVertex ? !onVertex : distance >= best.distance) return;
+    if (onVertex !== best.onVertex ? !onVertex : !(distance < best.distance)) return;
     Object.assign(best, { triangle: t, weight, distance, onVertex });
   }
 }
