@@ -326,7 +326,8 @@ TEST(Viewer, HoldsNoMoreBytesOfSurfacesThanItsLimit) {
   const auto flood = [&] {
     size_t refused = 0;
     for (size_t k = 0; k < 1000; ++k) {
-      const Key key = *parse_key("car/" + std::to_string(k) + "/key/0");
+      const std::string name = "car/" + std::to_string(k) + "/key/0";
+      const Key key = *parse_key(name);  // a view of it
       refused += one.all.take_sample(key, raw(parts.front()), one.now).outcome.applied == Applied::refused;
       if (k % 2) one.all.take_sample(key, raw(small), one.now);
       EXPECT_LE(one.all.held, viewer::surfaces_limit);
