@@ -13,6 +13,7 @@
 
 #include "car/balance.h"
 #include "car/make_blocks.h"
+#include "car/make_boundary.h"
 #include "protocol/asset.h"
 #include "schema/car_generated.h"
 
@@ -246,11 +247,13 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   };
   check(car->model, car->regions.size(), name);
   car->blocks = make_blocks(car->model);
+  car->boundary = make_boundary(car->model);
   car->skin_node = skin_nodes(car->model);
   const auto edges = car->model.edge_rest;
   car->mean_edge = float(std::accumulate(edges.begin(), edges.end(), 0.0) / double(edges.size()));
   if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours that are all neighbours of each other");
   car->model.blocks = &car->blocks;
+  car->model.boundary = &car->boundary;
   car->hash = hash_of(bytes.data(), bytes.size());
   return car;
 }

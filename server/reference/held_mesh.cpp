@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "car/make_blocks.h"
+#include "car/make_boundary.h"
 
 namespace crumple {
 
@@ -30,7 +31,9 @@ HeldMesh::HeldMesh(TetMesh tets, std::vector<uint8_t> held, double mass)
   model_.center_of_mass = masses_.center;
   model_.inertia = masses_.inertia;
   blocks_ = make_blocks(model_);
+  boundary_ = make_boundary(model_);
   model_.blocks = &blocks_;
+  model_.boundary = &boundary_;
 }
 
 Mass fixed_mass() {

@@ -27,6 +27,7 @@ class HeldMesh {
   Masses masses_;
   std::vector<uint8_t> held_, node_region_, tet_region_;
   Blocks blocks_;
+  Boundary boundary_;
   Model model_;
 };
 

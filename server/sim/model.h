@@ -6,6 +6,7 @@
 #include <span>
 
 #include "sim/blocks.h"
+#include "sim/boundary.h"
 #include "sim/math.h"
 
 namespace crumple {
@@ -43,6 +44,7 @@ struct Model {
   std::span<const uint32_t> triangle;      // 3 f
   std::span<const Skin> skin;              // v
   const Blocks* blocks = nullptr;          // made from the arrays above
+  const Boundary* boundary = nullptr;      // made from the arrays above
   float mass = 0;                          // kg
   Vec3 center_of_mass = Vec3::Zero();      // m
   Vec3 inertia = Vec3::Zero();             // principal, about the centre of mass along the car's axes, kg m^2
