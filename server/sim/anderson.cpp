@@ -25,16 +25,51 @@ Products products(const std::vector<Float4>& first, std::span<const std::vector<
 
 // The weights with which the changes of f cancel most of f.
 using Weighting = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, anderson_depth, 1>;
-Weighting combine(const AndersonHistory& history, const Products& right) {
-  const int m = history.count;
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, anderson_depth, anderson_depth> products(m, m);
-  for (int p = 0; p < m; ++p) {
-    for (int q = 0; q < m; ++q) products(p, q) = history.products[p][q];
+Weighting combine(std::span<const AndersonPart> parts) {
+  const int m = parts.front().history.count;
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, anderson_depth, anderson_depth> all(m, m);
+  Weighting right(m);
+  all.setZero();
+  right.setZero();
+  for (const AndersonPart& part : parts) {
+    const AndersonHistory& history = part.history;
+    const Products own = products(part.last.residual, {history.residual.data(), size_t(m)}, part.team);
+    for (int p = 0; p < m; ++p) {
+      for (int q = 0; q < m; ++q) all(p, q) += history.products[p][q];
+      right[p] += own[p];
+    }
   }
-  products.diagonal() *= 1 + regularisation;
-  products.diagonal().array() += 1e-30;
-  return products.ldlt().solve(Eigen::Map<const Weighting>(right.data(), m));
+  all.diagonal() *= 1 + regularisation;
+  all.diagonal().array() += 1e-30;
+  return all.ldlt().solve(right);
 }
+
+// Writes f and g of the step, and their changes since the previous step. Returns the squared length of f, m^2.
+double measure_change(const AndersonPart& part) {
+  auto& [before, node, last, history, team] = part;
+  const size_t n = node.size();
+  for (auto* list : {&last.residual, &last.result, &last.unmixed}) list->resize(n);
+  // Without a previous step there is no change. The kernel then writes to `unmixed`, which mix() overwrites before it is read.
+  std::vector<Float4>& residual_change = last.compared ? history.residual[history.next] : last.unmixed;
+  std::vector<Float4>& result_change = last.compared ? history.result[history.next] : last.unmixed;
+  residual_change.resize(n);
+  result_change.resize(n);
+  return team.sum<1>(uint32_t(n), nodes_at_once, [&](uint32_t k, uint32_t end, double* sum) {
+    kernels().anderson.compare(&node[k], &before[k], end - k, &last.residual[k], &last.result[k], &residual_change[k],
+                               &result_change[k], sum);
+  })[0];
+}
+
+void add_change(const AndersonPart& part) {
+  AndersonHistory& history = part.history;
+  const int slot = history.next;
+  history.count = std::max(history.count, slot + 1);
+  history.next = (slot + 1) % anderson_depth;
+  const Products row = products(history.residual[slot], {history.residual.data(), size_t(history.count)}, part.team);
+  for (int p = 0; p < history.count; ++p) history.products[slot][p] = history.products[p][slot] = row[p];
+}
+
+void clear(AndersonHistory& history) { history.count = history.next = 0; }
 
 }  // namespace
 
@@ -48,56 +83,57 @@ bool is_sound(const AndersonHistory& history, size_t nodes) {
   return good;
 }
 
-void Anderson::begin() {
-  compared_ = false;
-  mixed_ = false;
-}
-
-void Anderson::compare(std::span<const Float4> before, std::span<Float4> node, Team& team, AndersonHistory& history) {
-  const size_t n = node.size();
-  for (auto* list : {&residual_, &result_, &unmixed_}) list->resize(n);
-  const int slot = history.next;
-  // Without a previous step there is no change. The kernel then writes to unmixed_, which mix() overwrites before it is read.
-  std::vector<Float4>& residual_change = compared_ ? history.residual[slot] : unmixed_;
-  std::vector<Float4>& result_change = compared_ ? history.result[slot] : unmixed_;
-  residual_change.resize(n);
-  result_change.resize(n);
-  const double size = team.sum<1>(uint32_t(n), nodes_at_once, [&](uint32_t k, uint32_t end, double* sum) {
-    kernels().anderson.compare(&node[k], &before[k], end - k, &residual_[k], &result_[k], &residual_change[k],
-                               &result_change[k], sum);
-  })[0];
-  if (mixed_ && !(size <= growth * residual_size_)) {
-    std::copy(unmixed_.begin(), unmixed_.end(), node.begin());
-    history.count = history.next = 0;
-    return begin();
-  }
-  if (compared_) {
-    history.count = std::max(history.count, slot + 1);
-    history.next = (slot + 1) % anderson_depth;
-    const Products row = products(history.residual[slot], {history.residual.data(), size_t(history.count)}, team);
-    for (int p = 0; p < history.count; ++p) history.products[slot][p] = history.products[p][slot] = row[p];
-  }
-  residual_size_ = size;
-  compared_ = true;
-  mixed_ = false;
-}
-
-void Anderson::mix(std::span<Float4> node, Team& team, const AndersonHistory& history) {
-  const int m = history.count;
-  if (!compared_ || m == 0) return;
-  const Weighting weight = combine(history, products(residual_, {history.residual.data(), size_t(m)}, team));
-  if (!weight.allFinite()) return;
-  mixed_ = true;
-  team.run(0, uint32_t(node.size()), nodes_at_once, [&](uint32_t k, uint32_t end) {
-    const Float4* changes[anderson_depth];
-    float by[anderson_depth];
-    for (int p = 0; p < m; ++p) {
-      changes[p] = &history.result[p][k];
-      by[p] = -float(weight[p]);
-    }
-    std::copy_n(&node[k], end - k, &unmixed_[k]);
-    kernels().anderson.combine(changes, by, m, end - k, &node[k]);
+void begin_substep(std::span<const AndersonPart> parts) {
+  const AndersonHistory& first = parts.front().history;
+  const bool together = std::all_of(parts.begin(), parts.end(), [&](const AndersonPart& part) {
+    return part.history.count == first.count && part.history.next == first.next;
   });
+  for (const AndersonPart& part : parts) {
+    part.last.compared = part.last.mixed = false;
+    if (!together) clear(part.history);
+  }
+}
+
+void compare(std::span<const AndersonPart> parts) {
+  double size = 0, previous = 0;  // of all parts together
+  for (const AndersonPart& part : parts) {
+    previous += part.last.residual_size;
+    size += part.last.new_size = measure_change(part);
+  }
+  const AndersonStep& last = parts.front().last;
+  const bool failed = last.mixed && !(size <= growth * previous), compared = last.compared;
+  for (const AndersonPart& part : parts) {
+    if (!failed) part.last.residual_size = part.last.new_size;
+    if (failed) {
+      std::copy(part.last.unmixed.begin(), part.last.unmixed.end(), part.node.begin());
+      clear(part.history);
+    } else if (compared) {
+      add_change(part);
+    }
+    part.last.compared = !failed;
+    part.last.mixed = false;
+  }
+}
+
+void mix(std::span<const AndersonPart> parts) {
+  const int m = parts.front().history.count;
+  if (!parts.front().last.compared || m == 0) return;
+  const Weighting weight = combine(parts);
+  if (!weight.allFinite()) return;
+  for (const AndersonPart& part : parts) {
+    auto& [before, node, last, history, team] = part;
+    last.mixed = true;
+    team.run(0, uint32_t(node.size()), nodes_at_once, [&](uint32_t k, uint32_t end) {
+      const Float4* changes[anderson_depth];
+      float by[anderson_depth];
+      for (int p = 0; p < m; ++p) {
+        changes[p] = &history.result[p][k];
+        by[p] = -float(weight[p]);
+      }
+      std::copy_n(&node[k], end - k, &last.unmixed[k]);
+      kernels().anderson.combine(changes, by, m, end - k, &node[k]);
+    });
+  }
 }
 
 }  // namespace crumple

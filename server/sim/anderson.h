@@ -43,28 +43,35 @@ void each_field(History& history, const Visit& visit) {
 }
 
 // The last step of the current sub-step. One per worker; its lists are reused.
-class Anderson {
- public:
-  // Begins a sub-step: the history stays, but steps of two sub-steps are not compared.
-  void begin();
-
-  // Call it after a step that led from `before` to `node`. Adds the change since the previous step to the history, and measures
-  // the residual. If the last mix() made the residual more than twice as large, this undoes it in `node` and clears the
-  // history: sweeps alone always descend.
-  void compare(std::span<const Float4> before, std::span<Float4> node, Team&, AndersonHistory&);
-
-  // Moves `node` to the start of the next step.
-  void mix(std::span<Float4> node, Team&, const AndersonHistory&);
-
-  // Squared length of the last step, m^2. `compared`: this sub-step has a last step, and it was not undone.
-  double residual_size() const { return residual_size_; }
-  bool compared() const { return compared_; }
-
- private:
-  std::vector<Float4> residual_, result_;  // f and g of the last step
-  std::vector<Float4> unmixed_;            // nodes after the last sweeps, before mix()
-  double residual_size_ = 0;
-  bool compared_ = false, mixed_ = false;  // mixed: mix() chose the start of the next step
+struct AndersonStep {
+  std::vector<Float4> residual, result;  // f and g
+  std::vector<Float4> unmixed;           // nodes after the last sweeps, before mix()
+  double residual_size = 0;              // squared length of f, m^2
+  double new_size = 0;                   // used by compare(): the same, before it is known whether the step is undone
+  bool compared = false;                 // this sub-step has a last step, and it was not undone
+  bool mixed = false;                    // mix() chose the start of the next step
 };
+
+// One car in an iteration. Cars that touch one another are solved together: their nodes are parts of one long x, in a fixed
+// order.
+struct AndersonPart {
+  std::span<const Float4> before;  // nodes before the step
+  std::span<Float4> node;          // nodes after it
+  AndersonStep& last;
+  AndersonHistory& history;
+  Team& team;
+};
+
+// Begins a sub-step: histories stay, but steps of two sub-steps are not compared. Histories of cars that did not step together
+// before are cleared.
+void begin_substep(std::span<const AndersonPart>);
+
+// Call it after a step that led from `before` to `node`. Adds the change since the previous step to the histories, and measures
+// the residuals. If the last mix() made the residual more than twice as large, this undoes it in `node` and clears the
+// histories: sweeps alone always descend.
+void compare(std::span<const AndersonPart>);
+
+// Moves `node` to the start of the next step.
+void mix(std::span<const AndersonPart>);
 
 }  // namespace crumple

@@ -18,6 +18,20 @@ void take_towards(float amount, const Gradients& rest, Gradients& value) {
   for (int k = 0; k < 3; ++k) take_towards(amount, rest.corner[k], value.corner[k]);
 }
 
+// Whether the solver can continue with this memory, for a body of this many nodes. Foreign bytes may hold anything.
+bool is_sound(const PairMemory& memory, size_t nodes) {
+  const std::vector<PairMemory::Touch>& touch = memory.touch;
+  const auto not_ascending = [](const auto& a, const auto& b) { return a.node >= b.node; };
+  if (std::adjacent_find(touch.begin(), touch.end(), not_ascending) != touch.end()) return false;
+  for (const auto* keys : {&memory.near, &memory.passing}) {
+    if (!std::is_sorted(keys->begin(), keys->end())) return false;
+  }
+  return std::all_of(touch.begin(), touch.end(), [&](const PairMemory::Touch& each) {
+    return each.node < nodes && each.normal.allFinite() && each.friction.allFinite() && each.pressure >= 0 &&
+           std::isfinite(each.pressure);
+  });
+}
+
 // Hashes all fields: lists at once, single numbers together at the end.
 class BodyHash {
  public:
@@ -39,6 +53,14 @@ class BodyHash {
         chain(&each, sizeof each);
       }  // no need to hash the history's lists: their dot products follow from them
     });
+  }
+  void operator()(const PairMemory& memory) {
+    const auto add = [&](const auto& list) {
+      if (!list.empty()) (*this)(list);
+    };
+    add(memory.touch);
+    add(memory.near);
+    add(memory.passing);
   }
   uint64_t value() {
     chain(numbers_.data(), numbers_.size() * sizeof(double));
@@ -85,6 +107,7 @@ void repair(const Model& model, float amount, DeformableState& body) {
   // Forget the motion that made the damage.
   for (Vec3& step : body.step) step.setZero();
   body.history = {};
+  body.pairs = {};
   measure_reach(model, body);
   body.settled = false;
 }
@@ -125,6 +148,8 @@ std::optional<std::string> refuse_fields(const Model& model, const DeformableSta
       }
     } else if constexpr (std::is_same_v<decltype(value), const AndersonHistory&>) {
       if (!is_sound(value, model.node.size())) refusal = name + " is not one that the solver makes";
+    } else if constexpr (std::is_same_v<decltype(value), const PairMemory&>) {
+      if (!is_sound(value, model.node.size())) refusal = name + " are not ones that the solver makes";
     } else if constexpr (std::is_same_v<decltype(value), const Eigen::Vector3d&>) {
       if (!value.allFinite()) refusal = name + " is not finite";
     } else if (!std::isfinite(double(value)) || (field.traits.not_negative && double(value) < 0)) {

@@ -14,6 +14,21 @@
 
 namespace crumple {
 
+// What the body keeps of other cars: where it touched them in the last sub-step, and which ones were near.
+struct PairMemory {
+  struct Touch {
+    uint64_t partner;  // Member::key of the other car
+    uint32_t node;     // of this body
+    Vec3 normal;       // unit, from the partner's surface to the node, in the partner's frame
+    float pressure;    // N
+    Vec3 friction;     // N, on the node, in the partner's frame
+  };
+  std::vector<Touch> touch;       // ascending by node
+  std::vector<uint64_t> near;     // keys of the cars that were near in the last tick, ascending
+  std::vector<uint64_t> passing;  // of these the ones that it passes through, because they came to be inside each other
+};
+static_assert(sizeof(PairMemory::Touch) == 40);  // no padding: it is hashed
+
 struct DeformableState {
   std::vector<Vec3> node;            // positions, car's frame, m
   std::vector<Vec3> step;            // displacement of the last sub-step, m: the predictor's history
@@ -23,17 +38,18 @@ struct DeformableState {
   std::vector<float> edge_rest;      // rest lengths of `classic`, m
   std::vector<float> tet_rest;       // rest volumes of `classic`, m^3
   AndersonHistory history;           // the solver's last steps; empty when settled
-  double absorbed = 0;               // energy absorbed since spawn by plastic work, drag and friction, J
-  double stored = 0;                 // elastic energy now, J
-  double owed = 0;                   // part of `stored` that the motion did not give, J: the body may not return it
+  PairMemory pairs;
+  double absorbed = 0;  // energy absorbed since spawn by plastic work, drag and friction, J
+  double stored = 0;    // elastic energy now, J
+  double owed = 0;      // part of `stored` that the motion did not give, J: the body may not return it
   // Set by measure_reach(): the nodes' farthest distance from the centre of mass, and their bounding box in the car's frame, m.
   float reach = 0;
   Vec3 low = Vec3::Zero(), high = Vec3::Zero();
   // Total contact force (N) and moment about the centre of mass (N m) at the end of the last sub-step, world axes.
   Eigen::Vector3d force = Eigen::Vector3d::Zero();
   Eigen::Vector3d moment = Eigen::Vector3d::Zero();
-  bool touching = false;  // some node was held by an obstacle in the last sub-step
-  float drift = 0;        // how far obstacles slid along the settled body since it settled, m
+  bool touching = false;  // an obstacle or another car held some node in the last sub-step
+  float drift = 0;        // how far obstacles and cars slid along the settled body since it settled, m
   bool lost = false;      // no crash makes this shape: the body springs back before anything flows
   bool settled = true;    // no node moved in the last sub-step: the body costs nothing until touched
 };
@@ -101,6 +117,7 @@ constexpr void for_each_field(const Visit& visit) {
   visit(SingleField<float>{"drift", &DeformableState::drift, {.not_negative = true}});
   visit(SingleField<float>{"step_seconds", &DeformableState::step_seconds, {.not_negative = true}});
   visit(SingleField<AndersonHistory>{"history", &DeformableState::history, {}});
+  visit(SingleField<PairMemory>{"pairs", &DeformableState::pairs, {}});
   visit(SingleField<Eigen::Vector3d>{"force", &DeformableState::force, {}});
   visit(SingleField<Eigen::Vector3d>{"moment", &DeformableState::moment, {}});
 }

@@ -111,12 +111,13 @@ Encounter encounter(const StepInput& input, const DeformableState& body, const M
   return out;
 }
 
-void find_candidates(const StepInput& input, const DeformableState& body, const Motion& motion, ContactSet& contacts) {
+void find_candidates(const StepInput& input, const DeformableState& body, const Motion& motion, ContactSet& contacts,
+                     float travel) {
   const std::span<const Obstacle> obstacles = input.obstacles;
   std::vector<Candidates>& out = contacts.candidate;
   out.clear();
   const Reach reach(input, body, motion);
-  float travel = -1;
+  if (travel == 0) travel = -1;
   for (const Obstacle& obstacle : input.obstacles) {
     if (reach.excludes(obstacle)) continue;
     if (const auto found = approach(input, body, motion, obstacle)) travel = std::max(travel, found->travel);

@@ -70,8 +70,8 @@ struct Encounter {
 Encounter encounter(const StepInput&, const DeformableState&, const Motion&);
 
 // Chooses the candidates once a tick, from the steady motions of the car and the obstacles. An obstacle may push the car into
-// another, so every obstacle uses the largest relative travel of any.
-void find_candidates(const StepInput&, const DeformableState&, const Motion&, ContactSet&);
+// another, so every obstacle uses the largest relative travel of any. travel: the same of other cars, m; 0: none is near.
+void find_candidates(const StepInput&, const DeformableState&, const Motion&, ContactSet&, float travel = 0);
 
 // How the car's frame moves in one sub-step, which lasts `seconds` and starts `start` seconds into the tick.
 struct FramePath {

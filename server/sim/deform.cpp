@@ -8,81 +8,165 @@
 namespace crumple {
 namespace {
 
-// Moves the car's frame and finds the contacts. Returns false if the body stays at rest, so that its shape need not be solved.
-bool meet(const StepInput& input, const Substep& now, const Pose& to, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, result, spring] = state;
-  const StageTimer stage(timer, SolveStage::contacts);
-  if (!find_contacts(body, input.obstacles, {motion.pose, to, now.start, now.seconds}, scratch.contacts)) {
-    result.contact_overflow = true;
-  }
-  motion.pose = to;
-  return !body.settled || is_woken(now.seconds, scratch.contacts.contact, body, body.drift);
+// The length of the body's last sub-step, s.
+float last_seconds(const DeformableState& body, const Substep& now) {
+  return body.step_seconds > 0 ? body.step_seconds : float(now.seconds);
 }
 
-// One sub-step. Returns the seconds solved.
-float step(const StepInput& input, const Substep& now, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, result, spring] = state;
-  auto& [contacts, solver, start, backup] = scratch;
-  if (!meet(input, now, path(input.mass, body, motion, now.seconds), scratch, state, timer)) {
-    stay_at_rest(input, now, state);
-    return now.last;
+// Moves the cars' frames, finds all contacts of a sub-step, and groups the cars by those with each other.
+std::vector<PairGroup> meet(std::span<Member> island, const Substep& now, Timer* timer) {
+  const StageTimer stage(timer, SolveStage::contacts);
+  std::vector<Pose> from, to;
+  std::vector<float> share;
+  for (Member& member : island) {
+    auto& [body, motion, result, spring] = member.state;
+    from.push_back(motion.pose);
+    to.push_back(path(member.input.mass, body, motion, now.seconds));
+    share.push_back(float(now.seconds) / last_seconds(body, now));
+    const FramePath frame{motion.pose, to.back(), now.start, now.seconds};
+    if (!find_contacts(body, member.input.obstacles, frame, member.scratch.contacts)) result.contact_overflow = true;
   }
-  if (!backup.taken) {
-    back_up(body, backup);
-    solver.team.gather();
-    prepare_nodal(input.model, input.parameters, body, solver);
+  std::vector<PairGroup> groups = find_pairs(island, island.front().scratch.pairs, from, to, share, now.seconds);
+  for (size_t k = 0; k < island.size(); ++k) island[k].state.motion.pose = to[k];
+  return groups;
+}
+
+// Whether a body of the group moves or is woken: then the whole group is solved.
+bool is_awake(std::span<Member> island, const PairGroup& group, const Substep& now) {
+  bool awake = false;
+  for (size_t k = 0; k < group.member.size(); ++k) {
+    Member& member = island[group.member[k]];
+    DeformableState& body = member.state.body;
+    Met met;
+    for (const Contact& contact : member.scratch.contacts.contact) met.add(contact, body);
+    for (const PairContact& contact : group.contact) {
+      if (contact.car[0] == k || contact.car[1] == k) met.add(contact);
+    }
+    awake = !body.settled || is_woken(now.seconds, met, body, body.drift) || awake;
   }
-  const float h = float(now.seconds) * (body.touching ? 1 : after_touch(contacts.contact));
-  {
-    const StageTimer stage(timer, SolveStage::solve);
-    index_contacts(input.model.node.size(), contacts);
-    hold_anchors(input.model, contacts, body);
+  return awake;
+}
+
+// Readies a car for its first solved sub-step of the tick.
+void prepare(Member& member, Team& team) {
+  Scratch& scratch = member.scratch;
+  if (scratch.backup.taken) return;
+  back_up(member.state.body, scratch.backup);
+  prepare_nodal(member.input.model, member.input.parameters, member.state.body, team, scratch.solver);
+}
+
+// The length of the group's sub-step: it begins when the first contact closes.
+float seconds_of(std::span<Member> island, const PairGroup& group, const Substep& now) {
+  Touchdown touchdown;
+  for (uint32_t k : group.member) {
+    if (island[k].state.body.touching) return float(now.seconds);
+    for (const Contact& contact : island[k].scratch.contacts.contact) touchdown.add(contact.before, contact.after);
+  }
+  for (const PairContact& contact : group.contact) touchdown.add(contact.before, contact.after);
+  return float(now.seconds) * touchdown.rest();
+}
+
+// Finds the new shapes of the group's bodies.
+void solve(std::span<Member> island, PairGroup& group, const Substep& now, float h, Timer* timer) {
+  const StageTimer stage(timer, SolveStage::solve);
+  std::vector<NodalPart> parts;
+  for (size_t k = 0; k < group.member.size(); ++k) {
+    Member& member = island[group.member[k]];
+    auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
+    DeformableState& body = member.state.body;
+    const PairIndex* index = group.contact.empty() ? nullptr : &group.index[k];
+    index_contacts(member.input.model.node.size(), contacts);
+    hold_anchors(member.input.model, contacts, index, body);
     start = body.node;
-    const SolveStats stats = solve_nodal(input, contacts, h, h / now.last, solver, body);
-    result.sweeps += stats.sweeps;
-    result.work += stats.work;
-    result.residual = std::max(result.residual, stats.residual);
+    parts.push_back({member.input, contacts, index, h / last_seconds(body, now), solver, body});
   }
-  settle(h, start, body);
-  {
+  solve_nodal(parts, group.contact, h);
+  for (size_t k = 0; k < group.member.size(); ++k) {
+    StepResult& result = island[group.member[k]].state.result;
+    result.sweeps += parts[k].stats.sweeps;
+    result.work += parts[k].stats.work;
+    result.residual = std::max(result.residual, parts[k].stats.residual);
+  }
+}
+
+// One sub-step of cars that contacts connect, or of one car.
+void step(std::span<Member> island, PairGroup& group, const Substep& now, Timer* timer) {
+  if (!is_awake(island, group, now)) {
+    for (uint32_t k : group.member) stay_at_rest(island[k].input, now, island[k].state);
+    return;
+  }
+  Team& helpers = island.front().scratch.team;
+  helpers.gather();
+  for (uint32_t k : group.member) prepare(island[k], helpers);
+  const float h = seconds_of(island, group, now);
+  solve(island, group, now, h, timer);
+  for (size_t k = 0; k < group.member.size(); ++k) {
+    Member& member = island[group.member[k]];
+    auto& [body, motion, result, spring] = member.state;
+    auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
+    settle(h, start, body);
     const StageTimer stage(timer, SolveStage::flow);
-    const double taken = flow_nodal(input.model, solver, body);
+    const double taken = flow_nodal(member.input.model, solver, body);
     body.absorbed += taken;
     spring -= taken;
-    body.stored = stored_nodal(input.model, contacts, solver, body);
+    body.stored = stored_nodal(member.input.model, contacts, group.contact.empty() ? nullptr : &group.index[k], solver, body);
   }
-  react(input, now, double(h), contacts, solver.contact_forces, state);
-  // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
-  if (body.force.norm() * double(h) > double(settle_speed) * input.mass.mass) body.settled = false;
-  ++result.substeps;
-  return h;
+  react(island, group, now, double(h));
+  remember_pairs(island, group);
+  for (uint32_t k : group.member) {
+    auto& [body, motion, result, spring] = island[k].state;
+    // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
+    if (body.force.norm() * double(h) > double(settle_speed) * island[k].input.mass.mass) body.settled = false;
+    ++result.substeps;
+  }
 }
 
-void tick_nodal(const StepInput& input, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, result, spring] = state;
-  const int count = choose_substeps(input, scratch.contacts, body, motion);
-  const double h = input.seconds / count;
-  spring = body.lost ? 0 : std::max(0.0, body.stored - body.owed);
-  float last = body.step_seconds > 0 ? body.step_seconds : float(h);
-  for (int k = 0; k < count; ++k) last = step(input, {k * h, h, last}, scratch, state, timer);
-  scratch.solver.team.leave();
-  const bool balanced = body.lost || body.settled || !std::isfinite(input.mass.mass);
-  body.owed = balanced ? 0 : std::max(0.0, body.stored - spring);
+void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
+  int count = 1;
+  for (const Member& member : island) {
+    const auto& [body, motion, result, spring] = member.state;
+    count = std::max(count, choose_substeps(member.input, member.scratch.contacts, body, motion, closing));
+  }
+  const double h = island.front().input.seconds / count;
+  for (Member& member : island) {
+    auto& [body, motion, result, spring] = member.state;
+    spring = body.lost ? 0 : std::max(0.0, body.stored - body.owed);
+  }
+  for (int k = 0; k < count; ++k) {
+    const Substep now{k * h, h};
+    for (PairGroup& group : meet(island, now, timer)) step(island, group, now, timer);
+  }
+  island.front().scratch.team.leave();
+  for (Member& member : island) {
+    auto& [body, motion, result, spring] = member.state;
+    const bool balanced = body.lost || body.settled || !std::isfinite(member.input.mass.mass);
+    body.owed = balanced ? 0 : std::max(0.0, body.stored - spring);
+  }
 }
 
-void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Timer* timer) {
-  auto& [body, motion, result, spring] = state;
-  const std::vector<Contact>& contacts = scratch.contacts.contact;
+void tick_classic(Member& member, Timer* timer) {
+  auto& [body, motion, result, spring] = member.state;
+  auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
+  const StepInput& input = member.input;
   body.force.setZero();  // `classic` has no forces
   body.moment.setZero();
-  const Substep whole{0, input.seconds, float(input.seconds)};
-  if (!meet(input, whole, advance(motion, input.mass, input.seconds), scratch, state, timer)) return;
-  back_up(body, scratch.backup);
+  const Substep whole{0, input.seconds};
+  const Pose to = advance(motion, input.mass, input.seconds);
+  {
+    const StageTimer stage(timer, SolveStage::contacts);
+    const FramePath frame{motion.pose, to, 0, input.seconds};
+    if (!find_contacts(body, input.obstacles, frame, contacts)) result.contact_overflow = true;
+    motion.pose = to;
+  }
+  Met met;
+  for (const Contact& contact : contacts.contact) met.add(contact, body);
+  if (body.settled && !is_woken(whole.seconds, met, body, body.drift)) return;
+  back_up(body, backup);
   const StageTimer stage(timer, SolveStage::solve);
-  scratch.start = body.node;
-  solve_classic(input.model, input.parameters, contacts, body);
-  settle(float(input.seconds), scratch.start, body);
-  for (const Contact& contact : contacts) {
+  start = body.node;
+  solve_classic(input.model, input.parameters, contacts.contact, body);
+  settle(float(input.seconds), start, body);
+  for (const Contact& contact : contacts.contact) {
     result.contacts += contact.after < 0;
     result.deepest = std::max(result.deepest, -contact.after);
   }
@@ -90,37 +174,76 @@ void tick_classic(const StepInput& input, Scratch& scratch, StepState& state, Ti
   result.substeps = 1;
 }
 
+// Undoes a tick that went wrong, and tidies up.
+void finish(std::span<Member> island, std::span<const Motion> begin) {
+  const auto failed = [](const Member& member) {
+    return member.scratch.backup.taken && !is_finite(member.state.body, member.state.motion);
+  };
+  const bool undo = std::any_of(island.begin(), island.end(), failed);
+  for (size_t k = 0; k < island.size(); ++k) {
+    const Model& model = island[k].input.model;
+    Backup& backup = island[k].scratch.backup;
+    auto& [body, motion, result, spring] = island[k].state;
+    if (undo && backup.taken) {
+      restore(model, begin[k], backup, body, motion);
+      result = {};
+      result.recovered = true;
+    }
+    if (result.substeps > 0) measure_reach(model, body);
+    if (body.settled) body.history = {}, body.lost = false;
+    if (result.substeps > 0 && body.settled && !body.touching && revert_inverted(model, body)) {
+      body.settled = false;
+      body.lost = true;  // else the reverted tets would flow again at once
+    }
+  }
+}
+
+// Whether nothing is near any of the cars, and all of them are at rest.
+bool nothing_happens(std::span<const Member> island) {
+  return std::all_of(island.begin(), island.end(), [](const Member& member) {
+    const DeformableState& body = member.state.body;
+    return member.scratch.contacts.candidate.empty() && body.settled && !body.touching;
+  });
+}
+
 }  // namespace
 
 void ScratchDeleter::operator()(Scratch* scratch) const { delete scratch; }
 ScratchHandle make_scratch() { return ScratchHandle(new Scratch); }
 
-StepResult deform(const StepInput& input, Scratch& scratch, DeformableState& body, Motion& motion, Timer* timer) {
-  const Motion begin = motion;
-  StepState state{body, motion};
-  StepResult& result = state.result;
-  scratch.backup.taken = false;
+void deform(std::span<Member> island, Timer* timer) {
+  std::vector<Motion> begin;
+  std::vector<PairCandidates>& near = island.front().scratch.pairs;
+  double closing = 0;
   {
     const StageTimer stage(timer, SolveStage::contacts);
-    find_candidates(input, body, motion, scratch.contacts);
+    const std::vector<float> travel = find_pair_candidates(island, near);
+    for (size_t k = 0; k < island.size(); ++k) {
+      Member& member = island[k];
+      begin.push_back(member.state.motion);
+      member.scratch.backup.taken = false;
+      find_candidates(member.input, member.state.body, member.state.motion, member.scratch.contacts, travel[k]);
+      closing = std::max(closing, double(travel[k]) / member.input.seconds);
+    }
   }
-  if (scratch.contacts.candidate.empty() && body.settled && !body.touching) {
-    motion.pose = advance(motion, input.mass, input.seconds);
-    return result;
+  if (near.empty() && nothing_happens(island)) {
+    for (Member& member : island) {
+      member.state.motion.pose = advance(member.state.motion, member.input.mass, member.input.seconds);
+    }
+    return;
   }
-  (input.parameters.solver == Solver::classic ? tick_classic : tick_nodal)(input, scratch, state, timer);
-  if (scratch.backup.taken && !is_finite(body, motion)) {
-    restore(input.model, begin, scratch.backup, body, motion);
-    result = {};
-    result.recovered = true;
+  if (island.size() == 1 && island.front().input.parameters.solver == Solver::classic) {
+    tick_classic(island.front(), timer);
+  } else {
+    tick_nodal(island, closing, timer);
   }
-  if (result.substeps > 0) measure_reach(input.model, body);
-  if (body.settled) body.history = {}, body.lost = false;
-  if (result.substeps > 0 && body.settled && !body.touching && revert_inverted(input.model, body)) {
-    body.settled = false;
-    body.lost = true;  // else the reverted tets would flow again at once
-  }
-  return result;
+  finish(island, begin);
+}
+
+StepResult deform(const StepInput& input, Scratch& scratch, DeformableState& body, Motion& motion, Timer* timer) {
+  Member member{input, 0, scratch, {body, motion}};
+  deform({&member, 1}, timer);
+  return member.state.result;
 }
 
 }  // namespace crumple

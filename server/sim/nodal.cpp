@@ -99,18 +99,63 @@ Block block_of(const float gradient[3], const float h[6]) {
   return block;
 }
 
-// Context for the two functions that the kernels call for a node in contact.
+// Context for the functions that the kernels call for a node in contact.
 struct Touch {
   const ContactSet& contacts;
+  const PairIndex* pairs;
+  std::span<const PairContact> pair_contacts;
   NodalSolver& solver;
 };
 
-// Moves a node that an obstacle may hold to the lowest point of its quadratic outside the obstacles.
+// Calls visit(contact, entry) for the contacts with other cars in which the node takes part.
+template <class Visit>
+void for_each_pair(const Touch& touch, uint32_t node, const Visit& visit) {
+  if (!touch.pairs) return;
+  for (uint32_t k = touch.pairs->first[node]; k < touch.pairs->first[node + 1]; ++k) {
+    const PairIndex::Entry& entry = touch.pairs->entry[k];
+    visit(touch.pair_contacts[entry.contact], entry.which);
+  }
+}
+
+// Adds what contacts with other cars contribute to a node's quadratic. Both cars move in the same sweep and neither sees the
+// other move, so each counts its own way twice: (g + a + b)^2 <= (g + 2a)^2 / 2 + (g + 2b)^2 / 2, and the sum still descends.
+void add_pairs(const Touch& touch, uint32_t node, Block& block) {
+  const std::vector<Float4>& now = touch.solver.node;
+  for_each_pair(touch, node, [&](const PairContact& contact, uint32_t which) {
+    const bool own = which == PairIndex::own;
+    Vec3 at = contact.seen_node, point = contact.seen_point;
+    if (own) {
+      at = 2 * vec(now[node]) - at;
+    } else {
+      point = -point;
+      for (int k = 0; k < 3; ++k) point += 2 * contact.weight[k] * vec(now[contact.corner[k]]);
+    }
+    const PairForce force = pair_force(contact, at, point);
+    if (!(force.normal > 0)) return;
+    const float weight = own ? 1 : -contact.weight[which];
+    const Vec3& normal = own ? contact.own_normal : contact.normal;
+    const Vec3 friction = own ? Vec3(contact.rotation.transpose() * force.friction) : force.friction;
+    block.gradient -= weight * (force.normal * normal + friction);
+    const float both = 2 * weight * weight;
+    block.hessian += both * (contact.stiffness - force.stick) * normal * normal.transpose();
+    block.hessian.diagonal().array() += both * force.stick;
+  });
+}
+
+// Keeps how stiff a node is that touches another car.
+void note_stiffness(void* context, uint32_t node, const float[3], const float hessian[6]) {
+  static_cast<const Touch*>(context)->solver.pair_stiffness[node] = (hessian[0] + hessian[1] + hessian[2]) / 3;
+}
+
+// Moves a node that an obstacle or a car may hold to the lowest point of its quadratic outside the obstacles.
 void resolve(void* context, uint32_t node, const float gradient[3], const float hessian[6]) {
-  const ContactSet& all = static_cast<const Touch*>(context)->contacts;
-  NodalSolver& solver = static_cast<const Touch*>(context)->solver;
-  const Block block = block_of(gradient, hessian);
+  const Touch& touch = *static_cast<const Touch*>(context);
+  const ContactSet& all = touch.contacts;
+  NodalSolver& solver = touch.solver;
+  Block block = block_of(gradient, hessian);
+  add_pairs(touch, node, block);
   const auto move_to = [&](const Vec3& target) { solver.node[node] = float4(target, 0); };
+  if (!all.holds(node)) return move_to(vec(solver.node[node]) - block.hessian.inverse() * block.gradient);
   const uint32_t first = all.first[node] - 1;
   const Contact* contacts = &all.contact[first];
   int count = 1;
@@ -170,8 +215,13 @@ bool press_together(const Vec3& force, std::span<const Contact> contacts, std::s
 
 // The gradient that remains on a node in contact is the contact force. Friction is limited by the cone.
 void measure(void* context, uint32_t node, const float gradient[3], const float[6]) {
-  const auto& [all, solver] = *static_cast<const Touch*>(context);
-  const Vec3 force(gradient[0], gradient[1], gradient[2]);
+  const Touch& touch = *static_cast<const Touch*>(context);
+  const ContactSet& all = touch.contacts;
+  NodalSolver& solver = touch.solver;
+  if (!all.holds(node)) return;
+  Block block{{gradient[0], gradient[1], gradient[2]}, Mat3::Zero()};
+  add_pairs(touch, node, block);
+  const Vec3 force = block.gradient;
   const size_t first = all.first[node] - 1;
   size_t last = first;
   int planes = 0;
@@ -241,7 +291,7 @@ constexpr uint32_t blocks_at_once = 2, groups_at_once = 64;
 // Calls work(first, last, sums) on all groups of tets.
 template <size_t Count, class Work>
 std::array<double, Count> sum_over_groups(const Blocks& blocks, NodalSolver& solver, const Work& work) {
-  return solver.team.sum<Count>(uint32_t(blocks.group.size()), groups_at_once, work);
+  return solver.team->sum<Count>(uint32_t(blocks.group.size()), groups_at_once, work);
 }
 
 // Returns how many tets have lost their shape.
@@ -262,13 +312,6 @@ void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, Nod
   std::fill(solver.flowing.begin(), solver.flowing.end(), uint16_t(0xffff));
   std::fill(solver.stirred.begin(), solver.stirred.end(), uint8_t(1));
   update_stiffness(blocks, solver);
-}
-
-void sweep(const Blocks& blocks, const NodeView& view, Team& team) {
-  for (size_t c = 0; c + 1 < blocks.colour.size(); ++c) {
-    team.run(blocks.colour[c], blocks.colour[c + 1], blocks_at_once,
-             [&](uint32_t first, uint32_t last) { kernels().relax_nodes(view, first, last); });
-  }
 }
 
 // Moves all nodes along solver.direction by the factor in [0, 1] that lowers the energy most. Along the line the energy is a
@@ -304,10 +347,12 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
   }
 }
 
-// Sub-steps of a crash resemble one another: start with as much of the last displacement as lowers the energy. First move nodes
-// in contact out of their obstacles.
-void predict(const Blocks& blocks, float share, std::span<const Contact> contacts, const DeformableState& body,
-             NodalSolver& solver) {
+// Sub-steps of a crash resemble one another: the direction in which to start is the last displacement. First move nodes in
+// contact out of their obstacles, and nodes that touch other cars on as in the last sub-step.
+void aim(const NodalPart& part) {
+  const auto& [input, all, pairs, share, solver, body, stats] = part;
+  const Blocks& blocks = *input.model.blocks;
+  const std::span<const Contact> contacts = all.contact;
   for (size_t i = 0; i < body.step.size(); ++i) {
     const bool awake = solver.awake[blocks.place[i] / lanes];
     solver.direction[i] = awake ? float4(share * body.step[i], 0) : Float4{};
@@ -319,7 +364,32 @@ void predict(const Blocks& blocks, float share, std::span<const Contact> contact
     solver.node[contact.node] = float4(position + depth * contact.normal, 0);
     solver.direction[contact.node] = {};
   }
-  search_line(blocks, solver);
+  if (!pairs) return;
+  for (const uint32_t node : pairs->node) {
+    if (!all.holds(node)) solver.node[node] = float4(vec(solver.node[node]) + share * body.step[node], 0);
+    solver.direction[node] = {};
+  }
+}
+
+Vec3 point_of(const PairContact& contact, const NodalSolver& solver) {
+  Vec3 sum = Vec3::Zero();
+  for (int k = 0; k < 3; ++k) sum += contact.weight[k] * vec(solver.node[contact.corner[k]]);
+  return sum;
+}
+
+// Moves the surfaces of two cars apart by equal ways where they overlap.
+void part_surfaces(std::span<const NodalPart> parts, std::span<const PairContact> contacts) {
+  for (const PairContact& contact : contacts) {
+    NodalSolver &first = parts[contact.car[0]].solver, &second = parts[contact.car[1]].solver;
+    const float gap = contact.gap(vec(first.node[contact.node]), point_of(contact, second));
+    if (gap >= 0) continue;
+    const float squares = 1 + contact.weight.squaredNorm();
+    first.node[contact.node] = float4(vec(first.node[contact.node]) - gap / squares * contact.own_normal, 0);
+    for (int k = 0; k < 3; ++k) {
+      Float4& corner = second.node[contact.corner[k]];
+      corner = float4(vec(corner) + gap * contact.weight[k] / squares * contact.normal, 0);
+    }
+  }
 }
 
 // The acceleration also moves sleeping nodes, and anchored nodes that an obstacle has let go: put them back.
@@ -333,15 +403,27 @@ void keep_still(const Blocks& blocks, NodalSolver& solver) {
   }
 }
 
-// Attaches springs to the anchored nodes that obstacles reach; all springs together have at most the stiffness `most`, N/m.
+// Calls visit(node) once for each node that an obstacle or another car may hold.
+template <class Visit>
+void for_each_touched(const ContactSet& contacts, const PairIndex* pairs, const Visit& visit) {
+  for (const Contact& contact : contacts.contact) {
+    if (contacts.is_first(contact)) visit(contact.node);
+  }
+  if (!pairs) return;
+  for (const uint32_t node : pairs->node) {
+    if (!contacts.holds(node)) visit(node);
+  }
+}
+
+// Attaches springs to the anchored nodes that obstacles or cars reach; all springs together have at most the stiffness `most`,
+// N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, const ContactSet& contacts,
-                     NodalSolver& solver) {
+                     const PairIndex* pairs, NodalSolver& solver) {
   for (size_t i = 0; i < model.node.size(); ++i) solver.rest[i] = float4(model.node[i], 0);
   float sum = 0;
-  for (const Contact& contact : contacts.contact) {
-    const uint32_t node = contact.node;
+  for_each_touched(contacts, pairs, [&](uint32_t node) {
     float& spring = solver.rest[node].w;
-    if (!model.node_anchored[node] || spring > 0) continue;
+    if (!model.node_anchored[node]) return;
     for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k) {
       const uint32_t tet = model.corner[k] / 4, corner = model.corner[k] % 4;
       const auto& g = model.gradients[tet].corner;
@@ -349,31 +431,29 @@ void stiffen_anchors(const Model& model, const Parameters& parameters, float mos
       spring += anchor_ratio * parameters.region[model.tet_region[tet]].young_modulus * model.tet_rest[tet] * squared;
     }
     sum += spring;
-  }
+  });
   if (!(sum > most)) return;
-  for (const Contact& contact : contacts.contact) {
-    if (contacts.is_first(contact)) solver.rest[contact.node].w *= most / sum;
-  }
+  for_each_touched(contacts, pairs, [&](uint32_t node) { solver.rest[node].w *= most / sum; });
 }
 
 // Marks the lanes that sweeps must not move, and the lanes that `resolve` moves.
-void mark_lanes(const Blocks& blocks, std::span<const Contact> contacts, NodalSolver& solver) {
+void mark_lanes(const Blocks& blocks, const ContactSet& contacts, const PairIndex* pairs, NodalSolver& solver) {
   for (size_t block = 0; block < blocks.anchored.size(); ++block) {
     solver.still[block] = blocks.anchored[block] ? uint16_t(0xffff) : blocks.unused[block];
     solver.touched[block] = 0;
     solver.awake[block] = 0;
   }
-  for (const Contact& contact : contacts) {
-    const uint32_t place = blocks.place[contact.node];
+  for_each_touched(contacts, pairs, [&](uint32_t node) {
+    const uint32_t place = blocks.place[node];
     const uint16_t bit = uint16_t(1u << (place % lanes));
     solver.still[place / lanes] |= bit;
     solver.touched[place / lanes] |= bit;
     solver.awake[place / lanes] = 1;
-  }
+  });
 }
 
-// Wakes blocks that touch an obstacle or moved in the last sub-step. Wakes the whole body if its shape was lost, loaded,
-// repaired or just released.
+// Wakes blocks that touch an obstacle or a car, or moved in the last sub-step. Wakes the whole body if its shape was lost,
+// loaded, repaired or just released.
 void wake_blocks(const Blocks& blocks, float quiet, bool held, const DeformableState& body, NodalSolver& solver) {
   bool moved = false;
   for (size_t i = 0; i < body.step.size(); ++i) {
@@ -437,11 +517,101 @@ double way_size(float quiet, const NodalSolver& solver) {
   return sum;
 }
 
+// Prepares a car for a sub-step of h seconds: drag, springs, what is awake, and where to start.
+void begin_part(const NodalPart& part, float h) {
+  const auto& [input, contacts, pairs, share, solver, body, stats] = part;
+  const Model& model = input.model;
+  const Blocks& blocks = *model.blocks;
+  for (size_t i = 0; i < body.node.size(); ++i) {
+    const Material& material = input.parameters.region[model.node_region[i]];
+    const float drag = material.drag * model.node_mass[i] / model.mass * float(solver.volume) / h;
+    solver.before[i] = float4(body.node[i], drag);
+    solver.node[i] = float4(body.node[i], 0);
+  }
+  stiffen_anchors(model, input.parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, pairs, solver);
+  const bool held = !contacts.contact.empty() || pairs;
+  suspend_flow(blocks, update_stiffness(blocks, solver), model.tet.size(), held, solver, body);
+  mark_lanes(blocks, contacts, pairs, solver);
+  wake_blocks(blocks, settle_speed * h, held, body, solver);
+  solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
+  aim(part);
+}
+
+// Chooses the stiffness of contacts between cars: as soft as their nodes are now, yield included.
+void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::span<PairContact> contacts) {
+  if (contacts.empty()) return;
+  for (size_t k = 0; k < parts.size(); ++k) {
+    const NodalPart& part = parts[k];
+    const Blocks& blocks = *part.input.model.blocks;
+    part.solver.pair_stiffness.resize(part.solver.node.size());
+    NodeView view = views[k];
+    view.measure = true;
+    view.resolve = note_stiffness;
+    for (uint32_t block = 0; block < blocks.anchored.size(); ++block) {
+      if (part.solver.touched[block] != 0) kernels().relax_nodes(view, block, block + 1);
+    }
+  }
+  for (PairContact& contact : contacts) {
+    const auto &first = parts[contact.car[0]].solver.pair_stiffness, &second = parts[contact.car[1]].solver.pair_stiffness;
+    float compliance = 1 / first[contact.node];
+    for (int k = 0; k < 3; ++k) compliance += contact.weight[k] * contact.weight[k] / second[contact.corner[k]];
+    contact.stiffness = 1 / compliance;
+  }
+}
+
+// One sweep over each car.
+void sweep(std::span<const NodalPart> parts, std::span<const NodeView> views, std::span<PairContact> contacts) {
+  for (PairContact& contact : contacts) {
+    contact.seen_node = vec(parts[contact.car[0]].solver.node[contact.node]);
+    contact.seen_point = point_of(contact, parts[contact.car[1]].solver);
+  }
+  for (size_t k = 0; k < parts.size(); ++k) {
+    const std::vector<uint32_t>& colour = parts[k].input.model.blocks->colour;
+    for (size_t c = 0; c + 1 < colour.size(); ++c) {
+      parts[k].solver.team->run(colour[c], colour[c + 1], blocks_at_once,
+                                [&](uint32_t first, uint32_t last) { kernels().relax_nodes(views[k], first, last); });
+    }
+  }
+}
+
+// Moves what the last sweeps left of the gaps into the multipliers.
+void press_pairs(std::span<const NodalPart> parts, std::span<PairContact> contacts) {
+  for (PairContact& contact : contacts) {
+    const Vec3 node = vec(parts[contact.car[0]].solver.node[contact.node]);
+    const PairForce force = pair_force(contact, node, point_of(contact, parts[contact.car[1]].solver));
+    contact.pressure = force.normal;
+    contact.rub = force.friction;
+  }
+}
+
+// After the last sweep, which moved nothing: the forces between cars.
+void measure_pairs(std::span<PairContact> contacts) {
+  for (PairContact& contact : contacts) {
+    const PairForce force = pair_force(contact, contact.seen_node, contact.seen_point);
+    contact.pressed = force.normal;
+    contact.force = force.normal * contact.normal + force.friction;
+    const Vec3 slip = contact.slip(contact.seen_node, contact.seen_point);
+    contact.heat = std::max(0.0f, -0.5f * (contact.start_rub + force.friction).dot(slip));
+  }
+}
+
+// Whether the last solver step moved the car's nodes so little that the sub-step is solved.
+bool is_solved(NodalPart& part, float h) {
+  const double enough = double(part.input.parameters.tolerance) * double(part.input.parameters.tolerance);
+  const AndersonStep& last = part.solver.last_step;
+  const double mean = last.residual_size / double(std::max<size_t>(1, awake_nodes(part.solver)));
+  part.stats.residual = std::sqrt(float(mean));
+  if (!last.compared || mean > enough) return false;
+  return last.residual_size <= small_share * small_share * way_size(settle_speed * h, part.solver);
+}
+
 }  // namespace
 
 uint64_t sweep_work(const Model& model) { return lanes * model.blocks->group.size(); }
 
-void prepare_nodal(const Model& model, const Parameters& parameters, const DeformableState& body, NodalSolver& solver) {
+void prepare_nodal(const Model& model, const Parameters& parameters, const DeformableState& body, Team& team,
+                   NodalSolver& solver) {
+  solver.team = &team;
   const Blocks& blocks = *model.blocks;
   const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
   static_assert(lanes == 16);
@@ -484,53 +654,55 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Defor
   }
 }
 
-SolveStats solve_nodal(const StepInput& input, const ContactSet& contacts, float h, float share, NodalSolver& solver,
-                       DeformableState& body) {
-  const Model& model = input.model;
-  const Parameters& parameters = input.parameters;
-  const Blocks& blocks = *model.blocks;
-  const uint32_t count = uint32_t(body.node.size());
-  for (uint32_t i = 0; i < count; ++i) {
-    const Material& material = parameters.region[model.node_region[i]];
-    const float drag = material.drag * model.node_mass[i] / model.mass * float(solver.volume) / h;
-    solver.before[i] = float4(body.node[i], drag);
-    solver.node[i] = float4(body.node[i], 0);
+void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, float h) {
+  std::vector<Touch> touches;
+  std::vector<NodeView> views;
+  std::vector<AndersonPart> steps;
+  touches.reserve(parts.size());  // views point to them
+  for (NodalPart& part : parts) {
+    begin_part(part, h);
+    touches.push_back({part.contacts, part.pairs, contacts, part.solver});
+    views.push_back(node_view(*part.input.model.blocks, settle_speed * h, part.solver, touches.back()));
+    steps.push_back({part.solver.step_start, part.solver.node, part.solver.last_step, part.body.history, *part.solver.team});
   }
-  stiffen_anchors(model, parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, solver);
-  const float quiet = settle_speed * h;
-  const bool held = !contacts.contact.empty();
-  suspend_flow(blocks, update_stiffness(blocks, solver), model.tet.size(), held, solver, body);
-  mark_lanes(blocks, contacts.contact, solver);
-  wake_blocks(blocks, quiet, held, body, solver);
-  solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
-  Touch touch{contacts, solver};
-  NodeView view = node_view(blocks, quiet, solver, touch);
-  predict(blocks, share, contacts.contact, body, solver);
-  Anderson& anderson = solver.anderson;
-  anderson.begin();
-  const double enough = double(parameters.tolerance) * double(parameters.tolerance);
-  double mean = 0;  // squared residual per awake node, m^2
+  part_surfaces(parts, contacts);
+  for (const NodalPart& part : parts) search_line(*part.input.model.blocks, part.solver);
+  begin_substep(steps);
+  const auto most = [](const NodalPart& a, const NodalPart& b) {
+    return a.input.parameters.iterations < b.input.parameters.iterations;
+  };
+  const int iterations = std::max_element(parts.begin(), parts.end(), most)->input.parameters.iterations;
   int done = 0;
-  while (done < parameters.iterations) {
-    solver.step_start = solver.node;
-    update_stiffness(blocks, solver);
-    for (int k = 0; k < sweeps_a_step && done < parameters.iterations; ++k, ++done) sweep(blocks, view, solver.team);
-    anderson.compare(solver.step_start, solver.node, solver.team, body.history);
-    mean = anderson.residual_size() / double(std::max<size_t>(1, awake_nodes(solver)));
-    const auto little = [&] { return anderson.residual_size() <= small_share * small_share * way_size(quiet, solver); };
-    if (anderson.compared() && mean <= enough && little()) break;
-    if (done < parameters.iterations) {
-      anderson.mix(solver.node, solver.team, body.history);
-      keep_still(blocks, solver);
+  while (done < iterations) {
+    for (size_t k = 0; k < parts.size(); ++k) {
+      NodalSolver& solver = parts[k].solver;
+      solver.step_start = solver.node;
+      steps[k].before = solver.step_start;
+      update_stiffness(*parts[k].input.model.blocks, solver);
+    }
+    if (done == 0) stiffen_pairs(parts, views, contacts);
+    for (int k = 0; k < sweeps_a_step && done < iterations; ++k, ++done) sweep(parts, views, contacts);
+    press_pairs(parts, contacts);
+    compare(steps);
+    if (std::all_of(parts.begin(), parts.end(), [&](NodalPart& part) { return is_solved(part, h); })) break;
+    if (done < iterations) {
+      mix(steps);
+      for (const NodalPart& part : parts) keep_still(*part.input.model.blocks, part.solver);
     }
   }
-  update_stiffness(blocks, solver);
-  view.measure = true;
-  view.resolve = measure;
-  sweep(blocks, view, solver.team);
-  for (uint32_t i = 0; i < count; ++i) body.node[i] = vec(solver.node[i]);
-  const auto stirred = uint64_t(std::count(solver.stirred.begin(), solver.stirred.end(), uint8_t(1)));
-  return {uint32_t(done), lanes * stirred * uint64_t(done), std::sqrt(float(mean))};
+  for (size_t k = 0; k < parts.size(); ++k) {
+    update_stiffness(*parts[k].input.model.blocks, parts[k].solver);
+    views[k].measure = true;
+    views[k].resolve = measure;
+  }
+  sweep(parts, views, contacts);
+  measure_pairs(contacts);
+  for (NodalPart& part : parts) {
+    for (size_t i = 0; i < part.body.node.size(); ++i) part.body.node[i] = vec(part.solver.node[i]);
+    const auto stirred = uint64_t(std::count(part.solver.stirred.begin(), part.solver.stirred.end(), uint8_t(1)));
+    part.stats.sweeps = uint32_t(done);
+    part.stats.work = lanes * stirred * uint64_t(done);
+  }
 }
 
 double flow_nodal(const Model& model, NodalSolver& solver, DeformableState& body) {
@@ -546,16 +718,14 @@ double flow_nodal(const Model& model, NodalSolver& solver, DeformableState& body
   return work;
 }
 
-double stored_nodal(const Model& model, const ContactSet& contacts, NodalSolver& solver, const DeformableState& body) {
+double stored_nodal(const Model& model, const ContactSet& contacts, const PairIndex* pairs, NodalSolver& solver,
+                    const DeformableState& body) {
   const TetView view = tet_view(*model.blocks, solver);
   double sum = sum_over_groups<1>(*model.blocks, solver, [&](uint32_t first, uint32_t last, double* sums) {
     sums[0] = kernels().energy(view, first, last);
   })[0];
-  for (const Contact& contact : contacts.contact) {
-    const size_t i = contact.node;
-    if (!contacts.is_first(contact)) continue;
-    sum += 0.5 * double(solver.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm();
-  }
+  for_each_touched(contacts, pairs,
+                   [&](uint32_t i) { sum += 0.5 * double(solver.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm(); });
   return std::max(0.0, sum);  // at rest the sum is rounding noise around zero
 }
 

@@ -11,6 +11,7 @@
 #include "sim/anderson.h"
 #include "sim/contacts.h"
 #include "sim/kernels.h"
+#include "sim/pairs.h"
 #include "sim/step.h"
 #include "sim/team.h"
 
@@ -53,13 +54,14 @@ struct NodalSolver {
   std::vector<uint8_t> awake;                         // per block: 0 at rest, 1 solved, 2 solved and has moved
   std::vector<uint8_t> stirred;                       // per group: one of its blocks is awake
   std::vector<ContactForce> contact_forces;           // per contact
+  std::vector<float> pair_stiffness;                  // n, of the nodes that touch another car: mean of its own block, N/m
   double volume = 0;                                  // of all tets at rest, m^3
-  Anderson anderson;
-  Team team;
+  AndersonStep last_step;
+  Team* team = nullptr;  // the island's
 };
 
 // Before the first sub-step of a tick: copies the car's state into the layout of the kernels.
-void prepare_nodal(const Model&, const Parameters&, const DeformableState&, NodalSolver&);
+void prepare_nodal(const Model&, const Parameters&, const DeformableState&, Team&, NodalSolver&);
 
 struct SolveStats {
   uint32_t sweeps = 0;
@@ -67,14 +69,26 @@ struct SolveStats {
   float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
 };
 
-// Solves one sub-step of h seconds. In: the body after the last sub-step, the contacts and their index. Out: body.node, and the
-// force of each contact in solver.contact_forces. share: h divided by the length of the last sub-step.
-SolveStats solve_nodal(const StepInput&, const ContactSet&, float h, float share, NodalSolver&, DeformableState&);
+// A car in a sub-step. In: the body after the last sub-step, the contacts and their index. Out: body.node, the force of each
+// contact in solver.contact_forces, and stats.
+struct NodalPart {
+  const StepInput& input;
+  const ContactSet& contacts;
+  const PairIndex* pairs;  // of this car; null: it touches no other
+  float share;             // length of this sub-step divided by the length of the last one
+  NodalSolver& solver;
+  DeformableState& body;
+  SolveStats stats = {};
+};
+
+// Solves one sub-step of h seconds for cars that touch one another, or for one car. car[k] of a contact between cars is an
+// index of `parts`. A sweep sees the other cars as they stood when it began, so no car reads what another moves.
+void solve_nodal(std::span<NodalPart> parts, std::span<PairContact>, float h);
 
 // After solve_nodal(): plastic flow of the tets beyond yield. Returns the plastic work and the work of drag, J.
 double flow_nodal(const Model&, NodalSolver&, DeformableState&);
 
 // Elastic energy of the tets and of the springs on anchored nodes, J.
-double stored_nodal(const Model&, const ContactSet&, NodalSolver&, const DeformableState&);
+double stored_nodal(const Model&, const ContactSet&, const PairIndex*, NodalSolver&, const DeformableState&);
 
 }  // namespace crumple

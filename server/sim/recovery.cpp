@@ -20,6 +20,7 @@ bool is_finite(const Gradients& g) {
 
 void reset_non_finite(bool&) {}
 void reset_non_finite(AndersonHistory&) {}  // a backup has none
+void reset_non_finite(PairMemory& memory) { memory = {}; }
 void reset_non_finite(Eigen::Vector3d& v) {
   if (!v.allFinite()) v.setZero();
 }

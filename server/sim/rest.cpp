@@ -18,14 +18,22 @@ void settle(float h, std::span<const Vec3> before, DeformableState& body) {
   body.drift = 0;
 }
 
-bool is_woken(double h, std::span<const Contact> contacts, const DeformableState& body, float& drift) {
-  if (!body.touching) {
-    return std::any_of(contacts.begin(), contacts.end(), [](const Contact& c) { return c.after < -wake_depth; });
-  }
-  if (contacts.empty()) return true;
-  float most = 0;
-  for (const Contact& c : contacts) most = std::max(most, (c.carried - body.node[c.node]).norm());
-  if (double(most) > double(settle_speed) * h) drift += most;
+void Met::add(const Contact& c, const DeformableState& body) {
+  any = true;
+  deepest = std::max(deepest, -c.after);
+  moved = std::max(moved, (c.carried - body.node[c.node]).norm());
+}
+
+void Met::add(const PairContact& c) {
+  any = true;
+  deepest = std::max(deepest, -c.after);
+  moved = std::max(moved, c.motion);
+}
+
+bool is_woken(double h, const Met& met, const DeformableState& body, float& drift) {
+  if (!body.touching) return met.deepest > wake_depth;
+  if (!met.any) return true;
+  if (double(met.moved) > double(settle_speed) * h) drift += met.moved;
   return drift > wake_depth;
 }
 
@@ -41,9 +49,9 @@ void stay_at_rest(const StepInput& input, const Substep& now, StepState& state) 
   result.angular_impulse += now.seconds * body.moment;
 }
 
-void hold_anchors(const Model& model, const ContactSet& contacts, DeformableState& body) {
+void hold_anchors(const Model& model, const ContactSet& contacts, const PairIndex* pairs, DeformableState& body) {
   for (size_t i = 0; i < body.node.size(); ++i) {
-    if (model.node_anchored[i] && !contacts.holds(i)) {
+    if (model.node_anchored[i] && !contacts.holds(i) && !(pairs && pairs->holds(i))) {
       body.node[i] = model.node[i];
       body.step[i].setZero();
     }

@@ -4,6 +4,7 @@
 #include <span>
 
 #include "sim/contacts.h"
+#include "sim/pairs.h"
 #include "sim/step.h"
 
 namespace crumple {
@@ -14,14 +15,24 @@ inline constexpr float settle_speed = 2e-3f;
 // After a sub-step of h seconds: stores each node's displacement from `before`, and whether the body is at rest.
 void settle(float h, std::span<const Vec3> before, DeformableState&);
 
-// Whether obstacles wake a settled body: one enters it, or the one that it rests against moves along it or leaves. h: length of
-// the sub-step, s. drift: how far that obstacle has slid since the body settled, m; this call adds to it.
-[[nodiscard]] bool is_woken(double h, std::span<const Contact>, const DeformableState&, float& drift);
+// What touches a settled body in a sub-step.
+struct Met {
+  bool any = false;
+  float deepest = 0;  // how deep an obstacle or a car enters it, m
+  float moved = 0;    // how far what touches it moves along it, m
 
-// One sub-step of a body that stays at rest: the obstacle that it rests against keeps pressing with the same force.
+  void add(const Contact&, const DeformableState&);
+  void add(const PairContact&);
+};
+
+// Whether something wakes a settled body: it enters the body, or what the body rests against moves along it or leaves. h:
+// length of the sub-step, s. drift: how far that has slid since the body settled, m; this call adds to it.
+[[nodiscard]] bool is_woken(double h, const Met&, const DeformableState&, float& drift);
+
+// One sub-step of a body that stays at rest: what it rests against keeps pressing with the same force.
 void stay_at_rest(const StepInput&, const Substep&, StepState&);
 
 // Puts anchored nodes without a contact back to their rest positions.
-void hold_anchors(const Model&, const ContactSet&, DeformableState&);
+void hold_anchors(const Model&, const ContactSet&, const PairIndex*, DeformableState&);
 
 }  // namespace crumple

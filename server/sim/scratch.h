@@ -7,6 +7,7 @@
 
 #include "sim/contacts.h"
 #include "sim/nodal.h"
+#include "sim/pairs.h"
 #include "sim/recovery.h"
 
 namespace crumple {
@@ -16,6 +17,9 @@ struct Scratch {
   NodalSolver solver;
   std::vector<Vec3> start;  // used by deform.cpp: node positions at the start of the sub-step, m
   Backup backup;
+  // Of the island whose first car has this memory:
+  Team team;
+  std::vector<PairCandidates> pairs;
 };
 
 }  // namespace crumple

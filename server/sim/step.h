@@ -44,7 +44,6 @@ struct StepState {
 // A part of the tick.
 struct Substep {
   double start, seconds;  // within the tick
-  float last;             // length of the previous sub-step, s, for the predictor
 };
 
 }  // namespace crumple

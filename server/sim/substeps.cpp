@@ -4,8 +4,8 @@ namespace crumple {
 
 constexpr float shortest_substep = 0.01f;  // share of a whole sub-step: the shortest first one, which begins at the touch
 
-int choose_substeps(const StepInput& input, const ContactSet& contacts, const DeformableState& body, const Motion& motion) {
-  double closing = 0;
+int choose_substeps(const StepInput& input, const ContactSet& contacts, const DeformableState& body, const Motion& motion,
+                    double closing) {
   for (const Candidates& near : contacts.candidate) {
     const Obstacle& obstacle = input.obstacles[near.obstacle];
     const double turning = motion.angular_velocity.norm() + obstacle.angular_velocity.norm();
@@ -30,12 +30,6 @@ Pose path(const Mass& mass, const DeformableState& body, const Motion& motion, d
   return advance(middle, mass, h);
 }
 
-float after_touch(std::span<const Contact> contacts) {
-  float earliest = 1;
-  for (const Contact& c : contacts) {
-    if (c.after < 0) earliest = std::min(earliest, c.before > 0 ? c.before / (c.before - c.after) : 0.0f);
-  }
-  return earliest < 1 ? std::max(shortest_substep, 1 - earliest) : 1;
-}
+float Touchdown::rest() const { return earliest_ < 1 ? std::max(shortest_substep, 1 - earliest_) : 1; }
 
 }  // namespace crumple

@@ -28,14 +28,25 @@ inline int substep_count(int substeps, double seconds) {
   return std::max(1, int(std::lround(seconds / substep_seconds(substeps))));
 }
 
-// Sub-steps of this tick, halving included. Call it after find_candidates().
-int choose_substeps(const StepInput&, const ContactSet&, const DeformableState&, const Motion&);
+// Sub-steps of this tick, halving included. Call it after find_candidates(). closing: the fastest at which a near car may come,
+// m/s; 0: none is near.
+int choose_substeps(const StepInput&, const ContactSet&, const DeformableState&, const Motion&, double closing = 0);
 
 // The car's pose after a sub-step of h seconds, moved with the velocity half-way through it if the contact force stays the
 // same. With the velocity at the start each sub-step would create the energy impulse^2 / (2 mass).
 Pose path(const Mass&, const DeformableState&, const Motion&, double h);
 
 // Share of the sub-step that remains when the first contact closes, so that a crash begins at the touch; 1 if none closes.
-float after_touch(std::span<const Contact>);
+class Touchdown {
+ public:
+  // Gap of a contact at both ends of the sub-step if the bodies stood still in their frames, m.
+  void add(float before, float after) {
+    if (after < 0) earliest_ = std::min(earliest_, before > 0 ? before / (before - after) : 0.0f);
+  }
+  float rest() const;
+
+ private:
+  float earliest_ = 1;
+};
 
 }  // namespace crumple

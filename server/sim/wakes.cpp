@@ -17,7 +17,9 @@ bool wakes(const StepInput& input, Scratch& scratch, const DeformableState& body
     const Pose to = path(input.mass, body, motion, h);
     find_contacts(body, input.obstacles, {motion.pose, to, k * h, h}, contacts);
     motion.pose = to;
-    if (is_woken(h, contacts.contact, body, drift)) return true;
+    Met met;
+    for (const Contact& contact : contacts.contact) met.add(contact, body);
+    if (is_woken(h, met, body, drift)) return true;
     if (body.touching) push(h * body.force, h * body.moment, input.mass, motion);
   }
   return false;

@@ -84,6 +84,10 @@ void field(File& file, Is<AndersonHistory> auto& history) {
   each_field(history, [&](auto& each) { field(file, each); });
 }
 template <class File>
+void field(File& file, Is<PairMemory> auto& memory) {
+  field(file, memory.touch, memory.near, memory.passing);
+}
+template <class File>
 void field(File& file, Is<DeformableState> auto& body) {
   for_each_field([&](const auto& each) { field(file, body.*each.value); });
 }

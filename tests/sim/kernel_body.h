@@ -11,6 +11,7 @@
 
 #include "box_car.h"
 #include "car/make_blocks.h"
+#include "car/make_boundary.h"
 #include "sim/flow.h"
 #include "sim/nodal.h"
 
@@ -24,6 +25,7 @@ struct Mesh {
   Masses masses;
   std::vector<uint8_t> anchored, node_region, tet_region;
   Blocks blocks;
+  Boundary boundary;
   Model model;
 
   Mesh(TetMesh from, std::vector<uint8_t> held)
@@ -50,6 +52,8 @@ struct Mesh {
     model.inertia = masses.inertia;
     blocks = make_blocks(model);
     model.blocks = &blocks;
+    boundary = make_boundary(model);
+    model.boundary = &boundary;
   }
   Mesh(const Mesh&) = delete;
 };
@@ -118,6 +122,7 @@ struct State {
   std::unique_ptr<Mesh> mesh;
   Parameters parameters = materials();
   DeformableState body;
+  Team team;
   NodalSolver solver;
   std::mt19937 random;
 
@@ -135,7 +140,7 @@ struct State {
       const float limit = parameters.region[mesh->tet_region[t]].plastic_limit;
       body.hardening[t] = std::min(limit, limit * 1.1f * float(random() % 1000) / 1000);
     }
-    prepare_nodal(mesh->model, parameters, body, solver);
+    prepare_nodal(mesh->model, parameters, body, team, solver);
     for (uint32_t i = 0; i < body.node.size(); ++i) {
       const Vec3 rest = mesh->model.node[i];
       const float share = std::max(0.0f, rest.x() / 2.25f + 0.3f);

@@ -420,7 +420,7 @@ TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
     SCOPED_TRACE(kernel->name);
     auto own = std::make_unique<State>(box({9, 4, 3}), 3u, 0.0f);
     own->body = make_body(own->mesh->model);
-    prepare_nodal(own->mesh->model, own->parameters, own->body, own->solver);
+    prepare_nodal(own->mesh->model, own->parameters, own->body, own->team, own->solver);
     const auto mirror = [&](float by) {
       for (uint32_t i = 0; i < own->body.node.size(); ++i) {
         const Vec3& rest = own->mesh->model.node[i];

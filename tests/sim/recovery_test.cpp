@@ -25,7 +25,7 @@ struct Linear {
   static constexpr float factor[5] = {0.995f, 0.97f, 0.8f, 0.3f, -0.6f};
   std::vector<Float4> solution = std::vector<Float4>(places);
   std::vector<Float4> node = std::vector<Float4>(places), before;
-  Anderson anderson;
+  AndersonStep last;
   Team team;
   AndersonHistory history;
 
@@ -33,20 +33,26 @@ struct Linear {
     std::mt19937 random(2);
     std::normal_distribution<float> normal(0, 1);
     for (size_t i = 0; i < count; ++i) solution[i] = {normal(random), normal(random), normal(random), 0};
-    anderson.begin();
+    begin();
+  }
+  AndersonPart part() { return {before, node, last, history, team}; }
+  void begin() {
+    const AndersonPart own = part();
+    begin_substep({&own, 1});
   }
   void step() {
     before = node;
-    for (size_t i = 0; i < count; ++i) {
-      Float4& x = node[i];
-      const Float4& s = solution[i];
-      const float by = factor[i % 5];
-      x = {s.x + by * (x.x - s.x), s.y + by * (x.y - s.y), s.z + by * (x.z - s.z), 0};
-    }
+    for (size_t i = 0; i < count; ++i) apply(i, node[i]);
+  }
+  void apply(size_t i, Float4& x) const {
+    const Float4& s = solution[i];
+    const float by = factor[i % 5];
+    x = {s.x + by * (x.x - s.x), s.y + by * (x.y - s.y), s.z + by * (x.z - s.z), 0};
   }
   void mix() {
-    anderson.compare(before, node, team, history);
-    anderson.mix(node, team, history);
+    const AndersonPart own = part();
+    compare({&own, 1});
+    crumple::mix({&own, 1});
   }
   double error() const {
     double sum = 0;
@@ -80,7 +86,7 @@ TEST(Anderson, WhatWasLearnedInOneSubstepServesTheNext) {
     }
     for (Float4& each : linear.solution) each = {1.2f * each.x, 1.2f * each.y, 1.2f * each.z, 0};  // the load grows
     const double start = linear.error();
-    linear.anderson.begin();
+    linear.begin();
     if (forget) linear.history = {};
     for (int k = 0; k < 2; ++k) {
       linear.step();
@@ -122,8 +128,9 @@ TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
   const float none = std::numeric_limits<float>::quiet_NaN();
   std::vector<Float4> last_car(Linear::places + 100, Float4{none, none, none, none});
   AndersonHistory of_last_car;
-  for (int k = 0; k < 3; ++k) dirty.anderson.compare(last_car, last_car, dirty.team, of_last_car);
-  dirty.anderson.begin();
+  const AndersonPart other{last_car, last_car, dirty.last, of_last_car, dirty.team};
+  for (int k = 0; k < 3; ++k) compare({&other, 1});
+  dirty.begin();
   for (int k = 0; k < 10; ++k) {
     for (Linear* each : {&clean, &dirty}) {
       each->step();
@@ -133,6 +140,39 @@ TEST(Anderson, DoesNotSeeWhatThePaddingOrTheLastCarLeft) {
       ASSERT_EQ(std::memcmp(&clean.node[i], &dirty.node[i], sizeof(Float4)), 0) << "step " << k << ", node " << i;
     }
   }
+}
+
+// Two halves of one vector, mixed together, take the steps of the whole. Alone, the fast half would take others.
+TEST(Anderson, PartsThatStepTogetherStepAsOne) {
+  Linear whole;
+  struct Half {
+    std::vector<Float4> node, before;
+    AndersonStep last;
+    AndersonHistory history;
+    Team team;
+  } half[2];
+  const size_t middle = 12;
+  std::vector<AndersonPart> parts;
+  for (Half& each : half) each.node.resize(Linear::places), each.before.resize(Linear::places);
+  for (Half& each : half) parts.push_back({each.before, each.node, each.last, each.history, each.team});
+  begin_substep(parts);
+  for (int k = 0; k < 12; ++k) {
+    for (size_t i = 0; i < Linear::count; ++i) half[i >= middle].before[i] = half[i >= middle].node[i];
+    for (size_t i = 0; i < Linear::count; ++i) whole.apply(i, half[i >= middle].node[i]);
+    compare(parts);
+    mix(parts);
+    whole.step();
+    whole.mix();
+  }
+  for (size_t i = 0; i < Linear::count; ++i) {
+    const Float4 &a = whole.node[i], &b = half[i >= middle].node[i];
+    EXPECT_NEAR((Vec3(a.x, a.y, a.z) - Vec3(b.x, b.y, b.z)).norm(), 0, 2e-3) << i;
+  }
+  EXPECT_EQ(half[0].history.count, anderson_depth);
+  half[1].history.count = half[1].history.next = 2;  // it has stepped elsewhere
+  begin_substep(parts);
+  EXPECT_EQ(half[0].history.count, 0);
+  EXPECT_EQ(half[1].history.count, 0);
 }
 
 // ---- bodies that have lost their shape or come to rest

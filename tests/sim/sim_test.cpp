@@ -868,6 +868,9 @@ float& first_number(std::vector<Gradients>& list) { return list[0].corner[0].x()
 float& first_number(std::vector<float>& list) { return list[0]; }
 double& first_number(Eigen::Vector3d& v) { return v.x(); }
 int& first_number(AndersonHistory& history) { return history.next; }
+float& first_number(PairMemory& memory) {
+  return memory.touch.emplace_back(PairMemory::Touch{7, 0, Vec3::UnitX(), 1, Vec3::Zero()}).pressure;
+}
 template <class Number>
 Number& first_number(Number& number) {
   return number;

@@ -1,0 +1,170 @@
+// Cars that hit each other, beside answers that are known: a car that meets its like at equal speed crushes as in a wall,
+// momentum and energy are kept, and what one sees another may not change.
+//   crumple_pairs CAR...        one table per car
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <functional>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "bake/load_car.h"
+#include "reference/pile_up.h"
+
+namespace {
+
+using namespace crumple;
+using Eigen::Vector3d;
+
+constexpr double pi = 3.14159265358979;
+constexpr double crash_seconds = 0.35;
+
+double seconds_now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+double front_of(const Car& car) {
+  float front = -1e9f;
+  for (const Vec3& node : car.model.node) front = std::max(front, node.x());
+  return double(front) - double(car.model.center_of_mass.x());
+}
+double back_of(const Car& car) {
+  float back = 1e9f;
+  for (const Vec3& node : car.model.node) back = std::min(back, node.x());
+  return double(car.model.center_of_mass.x()) - double(back);
+}
+double half_width_of(const Car& car) {
+  float most = 0;
+  for (const Vec3& node : car.model.node) most = std::max(most, std::fabs(node.y()));
+  return double(most);
+}
+
+Obstacle wall_at(double x, float friction) {
+  Obstacle wall;
+  make_box({0.5f, 10, 10}, wall);
+  wall.pose.position.x() = x + 0.5;
+  wall.friction = friction;
+  return wall;
+}
+
+struct Row {
+  std::string name;
+  PileUp scene;
+  double seconds = crash_seconds;
+  // Of the run:
+  double ms = 0, energy = 0, created = 0, momentum = 0, angular = 0, deepest_node = 0, deepest_any = 0;
+};
+
+void play(Row& row) {
+  PileUp& scene = row.scene;
+  const double start = scene.energy(), brought = scene.kinetic();
+  const Vector3d momentum = scene.momentum(), angular = scene.angular_momentum();
+  double scale = 0, angular_scale = 0;
+  for (const CrashCar& car : scene.cars) {
+    scale += car.mass.mass * car.motion.velocity.norm();
+    angular_scale += car.mass.mass * car.motion.velocity.norm() * 2;
+  }
+  for (int k = 0; k < int(row.seconds * 60); ++k) {
+    const double begin = seconds_now();
+    scene.tick();
+    row.ms += 1e3 * (seconds_now() - begin);
+    row.created = std::max(row.created, scene.energy() / start - 1);
+    if (k % 3 != 2) continue;
+    for (const CrashCar& a : scene.cars) {
+      for (const CrashCar& b : scene.cars) {
+        if (&a == &b) continue;
+        const Overlap overlap = measure_overlap(a, b);
+        row.deepest_node = std::max(row.deepest_node, overlap.node);
+        row.deepest_any = std::max(row.deepest_any, overlap.any);
+      }
+    }
+  }
+  row.energy = (scene.energy() - start + brought) / brought;
+  row.momentum = (scene.momentum() - momentum).norm() / scale;
+  row.angular = (scene.angular_momentum() - angular).norm() / angular_scale;
+}
+
+void print(const Row& row, double speed) {
+  const auto& cars = row.scene.cars;
+  double sweeps = 0, substeps = 0, peak = 0;
+  for (const CrashCar& car : cars)
+    sweeps = std::max(sweeps, car.sweeps), substeps = std::max(substeps, car.substeps), peak = std::max(peak, car.peak);
+  std::printf(
+      "| %-22s | %5.1f, %5.1f | %6.3f, %6.3f | %+5.2f, %+5.2f | %7.0f | %6.3f | %+6.3f | %7.1e | %7.1e | %5.1f, %5.1f | %3.0f, "
+      "%4.1f | %6.1f |\n",
+      row.name.c_str(), 1e3 * cars.front().nose_crush(), 1e3 * cars.back().nose_crush(),
+      cars.front().motion.velocity.x() / speed, cars.back().motion.velocity.x() / speed,
+      cars.front().motion.angular_velocity.z(), cars.back().motion.angular_velocity.z(), 1e-3 * peak, row.energy,
+      100 * row.created, row.momentum, row.angular, 1e3 * row.deepest_node, 1e3 * row.deepest_any, substeps,
+      sweeps / std::max(1.0, substeps), row.ms);
+}
+
+void play_car(const std::shared_ptr<const Car>& car, double kmh) {
+  const double v = kmh / 3.6, front = front_of(*car), back = back_of(*car), wide = half_width_of(*car);
+  const double gap = 0.05;
+  std::printf("\n%s: %zu nodes, %zu boundary nodes, %zu triangles, %.0f km/h\n\n", car->name.c_str(), car->model.node.size(),
+              car->boundary.node.size(), car->boundary.triangle.size(), kmh);
+  std::printf(
+      "| scene | nose crush first, last mm | vx / v | yaw rad/s | peak kN | energy | created %% | momentum | angular | inside "
+      "node, any mm | sub-steps, sweeps | ms |\n|---|\n");
+  std::vector<Row> rows;
+  const auto scene = [&](const std::string& name, double seconds, const std::function<void(PileUp&)>& fill) {
+    Row row{name, {}, seconds};
+    row.scene.cars.reserve(16);
+    fill(row.scene);
+    play(row);
+    print(row, v);
+  };
+  scene("wall", crash_seconds, [&](PileUp& s) {
+    s.add(car, 0, 0, 0, v);
+    s.obstacles.push_back(wall_at(front + gap, 0));
+  });
+  scene("head-on", crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - gap, 0, 0, v);
+    s.add(car, front + gap, 0, pi, v);
+  });
+  scene("head-on (2v, 0)", crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - gap, 0, 0, 2 * v);
+    s.add(car, front + gap, 0, pi, 0);
+  });
+  scene("offset 50 %", crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - gap, 0.5 * wide, 0, v);
+    s.add(car, front + gap, -0.5 * wide, pi, v);
+  });
+  scene("oblique 30", crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - gap, 0, 0, v);
+    s.add(car, front * std::cos(pi / 6) + gap + 0.3, front * 0.5, pi + pi / 6, v);
+  });
+  scene("T-bone front", crash_seconds, [&](PileUp& s) {
+    s.add(car, 0, -1.2 - front, pi / 2, v);
+    s.add(car, -1.2, 0, 0, 0);
+  });
+  scene("T-bone rear", crash_seconds, [&](PileUp& s) {
+    s.add(car, 0, -1.2 - front, pi / 2, v);
+    s.add(car, 1.2, 0, 0, 0);
+  });
+  scene("rear-end", crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - gap - back, 0, 0, v);
+    s.add(car, 0, 0, 0, 0);
+  });
+  scene("side-swipe", crash_seconds, [&](PileUp& s) {
+    s.add(car, -2 * front, 0, 0, v);
+    s.add(car, 2 * front, 1.9 * wide, pi, v);
+  });
+  scene("queue of five", 2 * crash_seconds, [&](PileUp& s) {
+    s.add(car, -front - back - 0.1, 0, 0, v);
+    for (int k = 0; k < 4; ++k) s.add(car, k * (front + back + 0.1), 0, 0, 0);
+  });
+}
+
+}  // namespace
+
+int main(int count, char** argument) {
+  if (count < 2) {
+    std::fprintf(stderr, "usage: crumple_pairs CAR...\n");
+    return 2;
+  }
+  for (int k = 1; k < count; ++k) {
+    const auto car = load_car(argument[k]);
+    play_car(car, 50);
+  }
+}

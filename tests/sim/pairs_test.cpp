@@ -1,0 +1,199 @@
+// Tests of cars that touch each other: laws that hold in every scene, and answers that are known.
+#include "sim/pairs.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "box_car.h"
+#include "crash.h"
+#include "reference/pile_up.h"
+#include "sanitized.h"
+
+namespace crumple {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double pi = 3.14159265358979;
+constexpr double half = 2.25;  // length of the box car, m
+
+double rms_difference(const std::vector<Vec3>& a, const std::vector<Vec3>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i) sum += (a[i] - b[i]).squaredNorm();
+  return std::sqrt(sum / double(a.size()));
+}
+
+// Two cars 5 cm apart that drive at each other at v and w, m/s. aside: how far the second is to the left of the first's way, m.
+PileUp head_on(double v, double w, double aside = 0) {
+  PileUp scene;
+  scene.add(box_car(), -half - 0.025, 0, 0, v);
+  scene.add(box_car(), half + 0.025, aside, pi, w);
+  return scene;
+}
+
+// What the laws below keep: scenes with every kind of touch.
+struct Scene {
+  const char* name;
+  PileUp pile_up;
+};
+std::vector<Scene> scenes() {
+  std::vector<Scene> all;
+  all.push_back({"head-on", head_on(14, 14)});
+  all.push_back({"offset", head_on(14, 14, 0.9)});
+  all.push_back({"side-swipe", head_on(14, 14, 1.75)});
+  PileUp t_bone;
+  t_bone.add(box_car(), 0, -half - 0.95, pi / 2, 14);
+  t_bone.add(box_car(), -1.2, 0, 0, 0);
+  all.push_back({"T-bone", std::move(t_bone)});
+  PileUp queue;
+  for (int k = 0; k < 3; ++k) queue.add(box_car(), k * (2 * half + 0.1), 0, 0, k == 0 ? 18 : 0);
+  all.push_back({"queue", std::move(queue)});
+  PileUp unlike;
+  unlike.add(box_car({5, 3, 2}, 800), -half - 0.025, 0, 0, 20);
+  unlike.add(box_car({9, 4, 3}, 3000, 5), 2.5 + 0.025, 0.3, pi - 0.2, 5);
+  for (Material& material : unlike.cars[1].parameters.region) material.young_modulus *= 2;
+  all.push_back({"unlike", std::move(unlike)});
+  return all;
+}
+
+TEST(Pairs, TheBoundaryIsTheOutsideOfTheTets) {
+  const auto car = box_car({2, 1, 1});
+  EXPECT_EQ(car->boundary.node.size(), 12u);
+  ASSERT_EQ(car->boundary.triangle.size(), 2u * 2 * (1 + 2 + 2));
+  double volume = 0;  // by the divergence theorem: that of the box, if all triangles face outward
+  for (const auto& t : car->boundary.triangle) {
+    const Vec3 &a = car->model.node[t[0]], &b = car->model.node[t[1]], &c = car->model.node[t[2]];
+    volume += double(a.dot(b.cross(c))) / 6;
+  }
+  EXPECT_NEAR(volume, 4.5 * 1.8 * 1.5, 1e-4);
+}
+
+TEST(Law, CarsThatTouchKeepTheirMomentumAndTheirSpin) {
+  for (Scene& scene : scenes()) {
+    SCOPED_TRACE(scene.name);
+    PileUp& cars = scene.pile_up;
+    const Vector3d momentum = cars.momentum(), spin = cars.angular_momentum();
+    double size = 0;
+    for (const CrashCar& car : cars.cars) size += car.mass.mass * car.motion.velocity.norm();
+    cars.run(0.3);
+    EXPECT_GT(cars.cars[1].impulse.norm(), 0.1 * size);
+    EXPECT_LT((cars.momentum() - momentum).norm(), 1e-12 * size);
+    // Planar cars turn about the vertical axis only.
+    EXPECT_LT(std::fabs(cars.angular_momentum().z() - spin.z()), 1e-10 * size);
+  }
+}
+
+TEST(Law, CarsThatTouchFindTheEnergyThatTheyBrought) {
+  for (Scene& scene : scenes()) {
+    SCOPED_TRACE(scene.name);
+    PileUp& cars = scene.pile_up;
+    const double brought = cars.kinetic();
+    for (int k = 0; k < 20; ++k) {
+      cars.tick();
+      EXPECT_LT(cars.energy(), 1.01 * brought) << "tick " << k;
+    }
+    EXPECT_GT(cars.energy(), 0.98 * brought);
+    EXPECT_LT(cars.kinetic(), 0.8 * brought);
+  }
+}
+
+TEST(Law, TwoCarsInEachOthersWayCrushAsInAFrictionlessWall) {
+  for (const double v : {5.0, 8.0}) {  // faster, corners of the two equal boxes slip past each other
+    PileUp wall = head_on(v, 0), pair = head_on(v, v);
+    wall.cars.pop_back();
+    Obstacle& plane = wall.obstacles.emplace_back();
+    make_box({0.5f, 5, 5}, plane);
+    plane.pose.position.x() = 0.5;
+    plane.friction = 0;
+    wall.run(0.3);
+    pair.run(0.3);
+    const double crush = wall.cars[0].nose_crush();
+    EXPECT_GT(crush, 0.02);
+    EXPECT_NEAR(pair.cars[0].nose_crush(), crush, 0.02 * crush);
+    EXPECT_NEAR(pair.cars[1].nose_crush(), crush, 0.02 * crush);
+    EXPECT_NEAR(pair.cars[0].motion.velocity.x() / v, wall.cars[0].motion.velocity.x() / v, 0.01);
+  }
+}
+
+TEST(Law, OnlyTheWayOfTheCarsAgainstEachOtherCounts) {
+  PileUp even = head_on(14, 14), odd = head_on(28, 0);
+  even.run(0.2);
+  odd.run(0.2);
+  for (int k = 0; k < 2; ++k) EXPECT_LT(rms_difference(even.cars[k].body.node, odd.cars[k].body.node), 2e-4);
+}
+
+TEST(Law, TheOrderOfTheCarsChangesNothing) {
+  PileUp one = head_on(14, 10, 0.4), other;
+  other.add(box_car(), half + 0.025, 0.4, pi, 10);
+  other.add(box_car(), -half - 0.025, 0, 0, 14);
+  one.run(0.2);
+  other.run(0.2);
+  for (int k = 0; k < 2; ++k) EXPECT_LT(rms_difference(one.cars[k].body.node, other.cars[1 - k].body.node), 1e-4);
+}
+
+TEST(Law, AMovedAndTurnedPairGivesTheSameDents) {
+  PileUp here = head_on(14, 10, 0.4), there = head_on(14, 10, 0.4);
+  const Eigen::Quaterniond turn(Eigen::AngleAxisd(2.1, Vector3d::UnitZ()));
+  for (CrashCar& car : there.cars) {
+    car.motion.pose.position = turn * car.motion.pose.position + Vector3d(900, -400, 3);
+    car.motion.pose.orientation = turn * car.motion.pose.orientation;
+    car.motion.velocity = turn * car.motion.velocity + Vector3d(30, 5, 0);
+  }
+  here.run(0.2);
+  there.run(0.2);
+  for (int k = 0; k < 2; ++k) EXPECT_LT(rms_difference(here.cars[k].body.node, there.cars[k].body.node), 1e-4);
+}
+
+// Cars of an island that do not touch do not know of each other: bit for bit.
+TEST(Law, ACarAloneDoesNotNoticeWhoElseIsNear) {
+  Crash alone;
+  alone.wall();
+  alone.motion.velocity.x() = 14;
+  PileUp with;
+  with.cars.reserve(2);
+  CrashCar& first = with.add(alone.car, 0, 0, 0, 14);
+  first.motion = alone.motion;
+  with.add(box_car(), 0, 4, 0, 14);  // 2.2 m beside it, into the same wall
+  with.obstacles = alone.obstacles;
+  for (int k = 0; k < 10; ++k) {
+    alone.tick();
+    with.tick();
+  }
+  EXPECT_GT(alone.crush(), 0.1);
+  EXPECT_EQ(hash(alone.body), hash(with.cars[0].body));
+}
+
+TEST(Law, NoCarEndsInsideAnother) {
+  for (Scene& scene : scenes()) {
+    SCOPED_TRACE(scene.name);
+    scene.pile_up.run(0.1);  // in the middle of the crash
+    for (const CrashCar& a : scene.pile_up.cars) {
+      for (const CrashCar& b : scene.pile_up.cars) EXPECT_LT(&a == &b ? 0 : measure_overlap(a, b).node, 2e-3);
+    }
+  }
+}
+
+TEST(Law, CarsThatMetComeToRestAndCostNothing) {
+  PileUp cars = head_on(6, 6);
+  cars.run(2);
+  for (const CrashCar& car : cars.cars) {
+    EXPECT_TRUE(car.body.settled);
+    EXPECT_EQ(car.last.substeps, 0u);
+  }
+}
+
+TEST(Law, ACarOnAScriptedPathGivesWayToNobody) {
+  PileUp cars = head_on(10, 10);
+  cars.cars[1].mass.mass = std::numeric_limits<double>::infinity();
+  cars.cars[1].mass.inertia.setConstant(cars.cars[1].mass.mass);
+  cars.run(0.3);
+  EXPECT_EQ(cars.cars[1].motion.velocity.x(), -10);
+  EXPECT_LT(cars.cars[0].motion.velocity.x(), -10);  // thrown back by something that comes on
+  EXPECT_GT(cars.cars[0].motion.velocity.x(), -18);
+  EXPECT_GT(cars.cars[0].nose_crush(), 0.1);
+}
+
+}  // namespace
+}  // namespace crumple
