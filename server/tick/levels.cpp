@@ -13,7 +13,6 @@
 namespace crumple {
 namespace {
 
-constexpr double notice = 0.5;       // s: a car may change its level this long before something can touch it
 constexpr double shortest_stay = 1;  // s on one level
 constexpr double reluctance = 0.8;   // a car leaves its level for a coarser one if it wants less than this share of its nodes
 constexpr double spare = 0.2;        // share of the budget that must remain free before a car goes to a finer level
@@ -71,11 +70,11 @@ void add_asset(World& world, std::shared_ptr<const Car> car) {
 
 size_t coarser_levels(const World& world, const std::string& asset) { return world.assets.at(asset).size() - 1; }
 
-void look_ahead(const World& world, Instance& car, bool woken) {
+void look_ahead(const World& world, Instance& car, std::span<const Obstacle> obstacles, bool woken) {
   car.ahead = Ahead::nothing;
   const bool held = car.body.touching && !car.body.settled;
   if (held || (world.budget == 0 && car.levels->size() == 1)) return;
-  const Encounter met = encounter({car.car->model, car.parameters, car.mass, world.obstacles, notice}, car.body, car.motion);
+  const Encounter met = encounter({car.car->model, car.parameters, car.mass, obstacles, notice}, car.body, car.motion);
   car.width = met.width;
   if (woken || met.hit) {
     car.ahead = Ahead::hit;
@@ -146,7 +145,7 @@ std::vector<Instance*> choose_levels(const World& world, const std::vector<Insta
   return changing;
 }
 
-void change_level(const World& world, Instance& car, Worker&) {
+void change_level(const World& world, Instance& car) {
   const Car& to = *car.next_level;
   car.body = transfer(car.car->model, to.model, world.level_maps.at({car.car->hash, to.hash}), car.body);
   car.car = std::move(car.next_level);

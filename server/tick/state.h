@@ -56,6 +56,8 @@ struct Instance {
   // Used within one tick:
   std::optional<Intent> intent;  // the latest; consumed
   Ahead ahead = Ahead::nothing;
+  uint64_t key = 0;                       // names the car to those that it touches: hash of its id
+  std::vector<uint32_t> near;             // positions (`order`) of the cars that may come near
   float width = 0;                        // width of the narrowest near obstacle, m
   std::shared_ptr<const Car> next_level;  // the level to change to; null: no change
   bool changed = false;                   // its level changed in this tick
@@ -93,10 +95,13 @@ struct Tally {
 
 // A worker's memory, reused from car to car.
 struct Worker {
-  ScratchHandle scratch = make_scratch();
-  std::vector<Vec3> displaced;  // displacements of the skin's nodes, m
+  std::vector<ScratchHandle> scratch;  // one per car of an island; the first one always exists
+  std::vector<Obstacle> obstacles;     // and boxes around near cars
+  std::vector<Vec3> displaced;         // displacements of the skin's nodes, m
   std::vector<int16_t> displacement;
   StageTimes times{};
+
+  Worker() { scratch.push_back(make_scratch()); }
 };
 
 struct World {

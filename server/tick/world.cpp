@@ -13,6 +13,7 @@
 #include "tick/budget.h"
 #include "tick/health.h"
 #include "tick/inbox.h"
+#include "tick/islands.h"
 #include "tick/levels.h"
 #include "tick/state.h"
 #include "wire/encode.h"
@@ -55,22 +56,35 @@ void receive(const World& world, Instance& car) {
   car.intent.reset();
 }
 
-// Advances the rigid motion and the body by one tick.
-void move(const World& world, Instance& car, Worker& worker) {
-  const Motion before = car.motion;
+// Advances the rigid motions and the bodies of an island by one tick.
+void move(const World& world, std::span<Instance* const> island, Worker& worker) {
   StageClock timer(world.clock, worker.times);
-  Parameters parameters = car.parameters;
-  parameters.iterations = car.sweeps;
-  parameters.substeps = car.substeps;
-  car.result = deform({car.car->model, parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body,
-                      car.motion, world.clock ? &timer : nullptr);
-  const ImpulseLog::Change change{world.tick, car.motion.velocity - before.velocity,
-                                  car.motion.angular_velocity - before.angular_velocity};
-  if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) {
-    car.log.add(change);
-    car.hashes.log = hash(car.log);
+  std::vector<Parameters> parameters;
+  std::vector<Motion> before;
+  std::vector<Member> members;
+  parameters.reserve(island.size());  // members point to them
+  while (worker.scratch.size() < island.size()) worker.scratch.push_back(make_scratch());
+  for (size_t k = 0; k < island.size(); ++k) {
+    Instance& car = *island[k];
+    parameters.push_back(car.parameters);
+    parameters.back().iterations = car.sweeps;
+    parameters.back().substeps = car.substeps;
+    before.push_back(car.motion);
+    const StepInput input{car.car->model, parameters.back(), car.mass, world.obstacles, 1 / world.rate};
+    members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}});
   }
-  if (touched(car.result)) car.touched_tick = world.tick;
+  deform(members, world.clock ? &timer : nullptr);
+  for (size_t k = 0; k < island.size(); ++k) {
+    Instance& car = *island[k];
+    car.result = members[k].state.result;
+    const ImpulseLog::Change change{world.tick, car.motion.velocity - before[k].velocity,
+                                    car.motion.angular_velocity - before[k].angular_velocity};
+    if (!change.velocity.isZero(0) || !change.angular_velocity.isZero(0)) {
+      car.log.add(change);
+      car.hashes.log = hash(car.log);
+    }
+    if (touched(car.result)) car.touched_tick = world.tick;
+  }
 }
 
 // Displacements of the nodes that the spawned car's skin uses. If the body is on another level, that level's mesh carries them.
@@ -106,16 +120,26 @@ void show(const World& world, Instance& car, Worker& worker) {
   }
 }
 
-// Finds the car's motion, and whether it will be solved.
-void prepare_car(const World& world, Instance& car, Worker& worker) {
+// Finds the car's motion.
+void receive_car(const World& world, Instance& car) {
   car.idle = car.idle && !world.obstacles_changed;
+  if (!car.idle) receive(world, car);
+}
+
+// Finds whether the car will be solved. The cars near it count as boxes that move as they do.
+void prepare_car(const World& world, const std::vector<Instance*>& cars, Instance& car, Worker& worker) {
   if (car.idle) return;
-  receive(world, car);
   car.changed = false;
-  const bool woken =
-      world.budget > 0 && car.body.settled &&
-      wakes({car.car->model, car.parameters, car.mass, world.obstacles, 1 / world.rate}, *worker.scratch, car.body, car.motion);
-  look_ahead(world, car, woken);
+  std::span<const Obstacle> obstacles = world.obstacles;
+  if (!car.near.empty()) {
+    worker.obstacles = world.obstacles;
+    add_boxes(cars, car, worker.obstacles);
+    obstacles = worker.obstacles;
+  }
+  const bool woken = world.budget > 0 && car.body.settled &&
+                     wakes({car.car->model, car.parameters, car.mass, obstacles, 1 / world.rate}, *worker.scratch.front(),
+                           car.body, car.motion);
+  look_ahead(world, car, obstacles, woken);
   if (!car.body.settled && car.result.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;
   } else {
@@ -123,38 +147,48 @@ void prepare_car(const World& world, Instance& car, Worker& worker) {
   }
 }
 
-// The fields that may change in a body that is not solved: an obstacle that it rests against moves on or leaves.
+// The fields that may change in a body that is not solved: what it rests against moves on or leaves, or a car comes near.
 auto of_rest(const DeformableState& body) {
-  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment);
+  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment, body.pairs.near,
+                    body.pairs.passing);
 }
 
 bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.angular_velocity.isZero(0); }
 
-void advance_car(const World& world, Instance& car, Worker& worker) {
-  if (car.idle) return;
-  const bool told =
-      std::none_of(car.told.begin(), car.told.end(), [](const ViewerState& each) { return each.due || each.flowing; });
-  const bool resting = car.body.settled && told && !car.changed;
-  const auto before = of_rest(car.body);
-  move(world, car, worker);
-  car.news = {};
-  const bool same_shape = resting && car.result.substeps == 0 && !car.result.recovered;
-  if (!same_shape) show(world, car, worker);
-  if (!same_shape || of_rest(car.body) != before) car.hashes.body = hash(car.body);
-  car.idle = same_shape && !car.body.touching && car.ahead == Ahead::nothing && stands(car.motion);
+void advance_island(const World& world, std::span<Instance* const> island, Worker& worker) {
+  if (island.size() == 1 && island.front()->idle) return;
+  std::vector<uint8_t> resting;
+  std::vector<decltype(of_rest(island.front()->body))> before;
+  for (const Instance* car : island) {
+    const bool told =
+        std::none_of(car->told.begin(), car->told.end(), [](const ViewerState& each) { return each.due || each.flowing; });
+    resting.push_back(car->body.settled && told && !car->changed);
+    before.push_back(of_rest(car->body));
+  }
+  move(world, island, worker);
+  for (size_t k = 0; k < island.size(); ++k) {
+    Instance& car = *island[k];
+    car.news = {};
+    const bool same_shape = resting[k] && car.result.substeps == 0 && !car.result.recovered;
+    if (!same_shape) show(world, car, worker);
+    if (!same_shape || of_rest(car.body) != before[k]) car.hashes.body = hash(car.body);
+    car.idle =
+        same_shape && !car.body.touching && car.body.pairs.near.empty() && car.ahead == Ahead::nothing && stands(car.motion);
+  }
 }
 
-// Cars do not affect each other within a tick, so any number of workers gives the same result.
-template <class Step>
-void for_each_car(World& world, const std::vector<Instance*>& cars, size_t at_once, const Step& step) {
+// Calls step(item, worker) for each item. Items do not affect each other within a tick, so any number of workers gives the same
+// result.
+template <class Item, class Step>
+void for_each(World& world, const std::vector<Item>& items, size_t at_once, const Step& step) {
   world.arena->execute([&] {
     tbb::parallel_for(
-        tbb::blocked_range<size_t>(0, cars.size(), at_once),
+        tbb::blocked_range<size_t>(0, items.size(), at_once),
         [&](const tbb::blocked_range<size_t>& range) {
           Worker& worker = world.workers.local();
           // While a car waits for its helpers, this thread must not start another car with the same memory.
           tbb::this_task_arena::isolate([&] {
-            for (size_t i = range.begin(); i < range.end(); ++i) step(world, *cars[i], worker);
+            for (size_t i = range.begin(); i < range.end(); ++i) step(items[i], worker);
           });
         },
         tbb::simple_partitioner{});
@@ -193,7 +227,7 @@ uint64_t crash_once(const Car& car, double seconds, Worker& worker) {
   Obstacle wall;
   make_box({1, 10, 10}, wall);
   wall.pose.position.x() = double(nose) + 1;
-  return uint64_t(work_of(car.model, deform({car.model, {}, {}, {&wall, 1}, seconds}, *worker.scratch, body, motion)));
+  return uint64_t(work_of(car.model, deform({car.model, {}, {}, {&wall, 1}, seconds}, *worker.scratch.front(), body, motion)));
 }
 
 void advance_cars(World& world, int threads) {
@@ -201,12 +235,16 @@ void advance_cars(World& world, int threads) {
   std::vector<Instance*> cars;
   for (auto& [id, car] : world.cars) {
     car.order = cars.size();
+    car.key = key_of(id);
     cars.push_back(&car);
   }
-  for_each_car(world, cars, 16, prepare_car);
-  for_each_car(world, choose_levels(world, cars), 1, change_level);
+  for_each(world, cars, 16, [&](Instance* car, Worker&) { receive_car(world, *car); });
+  find_neighbours(world, cars);
+  for_each(world, cars, 16, [&](Instance* car, Worker& worker) { prepare_car(world, cars, *car, worker); });
+  for_each(world, choose_levels(world, cars), 1, [&](Instance* car, Worker&) { change_level(world, *car); });
   ration(world, cars);
-  for_each_car(world, cars, 1, advance_car);
+  const std::vector<Island> islands = find_islands(world, cars);
+  for_each(world, islands, 1, [&](const Island& island, Worker& worker) { advance_island(world, island, worker); });
   for (Worker& worker : world.workers) {
     for (size_t i = 0; i < worker.times.size(); ++i) world.tally.now[i] += worker.times[i];
     worker.times = {};

@@ -1,0 +1,136 @@
+#include "tick/islands.h"
+
+#define XXH_INLINE_ALL
+#include <xxhash.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "sim/contacts.h"
+#include "tick/levels.h"
+
+namespace crumple {
+namespace {
+
+using Eigen::Vector3d;
+
+// A box along the world's axes that holds a car for some time.
+struct Reach {
+  uint32_t car;
+  Vector3d low, high;
+  bool meets(const Reach& other) const {
+    return (low.array() <= other.high.array()).all() && (high.array() >= other.low.array()).all();
+  }
+};
+
+Vector3d center_of(const Instance& car) {
+  return car.motion.pose.position + car.motion.pose.orientation * car.car->model.center_of_mass.cast<double>();
+}
+
+// How far a point of the car moves in `seconds`, at most; m. The centre of mass that the host gave may be another than the
+// model's.
+double travel_of(const Instance& car, double seconds) {
+  const double arm = double(car.body.reach) + (car.mass.center - car.car->model.center_of_mass.cast<double>()).norm();
+  return (car.motion.velocity.norm() + car.motion.angular_velocity.norm() * arm) * seconds;
+}
+
+Reach reach_of(const Instance& car, uint32_t index, double seconds) {
+  const Vector3d center = center_of(car), end = center + seconds * car.motion.velocity;
+  const double turning =
+      car.motion.angular_velocity.norm() * (car.mass.center - car.car->model.center_of_mass.cast<double>()).norm() * seconds;
+  const double radius = double(car.body.reach) + turning + double(contact_margin);
+  return {index, center.cwiseMin(end).array() - radius, center.cwiseMax(end).array() + radius};
+}
+
+bool stands(const Instance& car) {
+  return car.motion.velocity.isZero(0) && car.motion.angular_velocity.isZero(0) && !car.body.touching;
+}
+
+bool may_touch(const Instance& car) { return car.parameters.solver == Solver::nodal; }
+
+// Whether one of the faces of a's box has the whole box of b farther than `near` outside.
+bool beyond(const Instance& a, const Instance& b, double near) {
+  const Relative path = relative(b.motion.pose, a.motion.pose);
+  const Vec3 half = 0.5f * (b.body.high - b.body.low), center = path.rotation * (b.body.low + half) + path.translation;
+  const Vec3 extent = path.rotation.cwiseAbs() * half;
+  return ((center - extent - a.body.high).array() > float(near)).any() ||
+         ((a.body.low - center - extent).array() > float(near)).any();
+}
+
+}  // namespace
+
+uint64_t key_of(const std::string& id) { return XXH64(id.data(), id.size(), 0); }
+
+void find_neighbours(const World& world, const std::vector<Instance*>& cars) {
+  for (Instance* car : cars) car->near.clear();
+  const auto moves = [](const Instance* car) { return may_touch(*car) && !stands(*car); };
+  if (std::none_of(cars.begin(), cars.end(), moves)) return;
+  const double seconds = std::max(notice, 1 / world.rate);
+  std::vector<Reach> reach;
+  for (uint32_t k = 0; k < cars.size(); ++k) {
+    if (may_touch(*cars[k])) reach.push_back(reach_of(*cars[k], k, seconds));
+  }
+  std::sort(reach.begin(), reach.end(),
+            [](const Reach& a, const Reach& b) { return a.low.x() != b.low.x() ? a.low.x() < b.low.x() : a.car < b.car; });
+  for (size_t i = 0; i < reach.size(); ++i) {
+    Instance& a = *cars[reach[i].car];
+    for (size_t k = i + 1; k < reach.size() && reach[k].low.x() <= reach[i].high.x(); ++k) {
+      Instance& b = *cars[reach[k].car];
+      if ((stands(a) && stands(b)) || !reach[i].meets(reach[k])) continue;
+      if (a.near.size() >= neighbour_limit || b.near.size() >= neighbour_limit) continue;
+      a.near.push_back(reach[k].car);
+      b.near.push_back(reach[i].car);
+      a.idle = b.idle = false;
+    }
+  }
+  for (Instance* car : cars) std::sort(car->near.begin(), car->near.end());
+}
+
+void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vector<Obstacle>& out) {
+  for (uint32_t k : car.near) {
+    const Instance& other = *cars[k];
+    const bool still = other.motion.velocity == car.motion.velocity && other.motion.angular_velocity.isZero(0) &&
+                       car.motion.angular_velocity.isZero(0);
+    if (still) continue;
+    const Vec3 half = 0.5f * (other.body.high - other.body.low), center = other.body.low + half;
+    Obstacle& box = out.emplace_back();
+    make_box(half, box);
+    box.pose = {other.motion.pose.position + other.motion.pose.orientation * center.cast<double>(),
+                other.motion.pose.orientation};
+    box.velocity = other.motion.velocity;
+    box.angular_velocity = other.motion.angular_velocity;
+  }
+}
+
+std::vector<Island> find_islands(const World& world, const std::vector<Instance*>& cars) {
+  std::vector<uint32_t> lowest(cars.size());
+  std::iota(lowest.begin(), lowest.end(), 0u);
+  const auto root = [&](uint32_t i) {
+    while (lowest[i] != i) i = lowest[i] = lowest[lowest[i]];
+    return i;
+  };
+  for (uint32_t k = 0; k < cars.size(); ++k) {
+    for (uint32_t other : cars[k]->near) {
+      if (other < k) continue;
+      const Instance &a = *cars[k], &b = *cars[other];
+      // A contact may turn the whole way of one into that of the other.
+      const double near = 2 * (travel_of(a, 1 / world.rate) + travel_of(b, 1 / world.rate)) + double(contact_margin);
+      if (beyond(a, b, near) || beyond(b, a, near)) continue;
+      const uint32_t first = root(k), second = root(other);
+      lowest[std::max(first, second)] = std::min(first, second);
+    }
+  }
+  std::vector<Island> out;
+  std::vector<uint32_t> island(cars.size());
+  for (uint32_t k = 0; k < cars.size(); ++k) {
+    if (root(k) == k) {
+      island[k] = uint32_t(out.size());
+      out.emplace_back();
+    }
+    out[island[root(k)]].push_back(cars[k]);
+  }
+  return out;
+}
+
+}  // namespace crumple

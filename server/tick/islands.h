@@ -1,0 +1,28 @@
+// Which cars may touch one another: found once a tick, in the order of the cars' ids, before the cars are advanced.
+#pragma once
+
+#include <vector>
+
+#include "tick/state.h"
+
+namespace crumple {
+
+// Most cars that one car notices around it. More in one place stand inside each other; the nearest in the order of ids are
+// kept.
+inline constexpr size_t neighbour_limit = 32;
+
+// Names a car to the others in all ticks.
+uint64_t key_of(const std::string& id);
+
+// Fills Instance::near with the cars that may come near within the time that a car looks ahead. Two cars that stand and do not
+// touch do not notice each other. Wakes idle cars that something comes near to.
+void find_neighbours(const World&, const std::vector<Instance*>& cars);
+
+// The neighbours of a car as obstacles, for look_ahead(): boxes around their bodies that move as they do.
+void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vector<Obstacle>& out);
+
+// Divides all cars into islands: cars that may touch one another within this tick, ascending. Most islands are one car.
+using Island = std::vector<Instance*>;
+std::vector<Island> find_islands(const World&, const std::vector<Instance*>& cars);
+
+}  // namespace crumple
