@@ -559,18 +559,32 @@ void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::s
   }
 }
 
-// One sweep over each car.
+// One sweep over each car, all cars side by side.
 void sweep(std::span<const NodalPart> parts, std::span<const NodeView> views, std::span<PairContact> contacts) {
   for (PairContact& contact : contacts) {
     contact.seen_node = vec(parts[contact.car[0]].solver.node[contact.node]);
     contact.seen_point = point_of(contact, parts[contact.car[1]].solver);
   }
-  for (size_t k = 0; k < parts.size(); ++k) {
-    const std::vector<uint32_t>& colour = parts[k].input.model.blocks->colour;
-    for (size_t c = 0; c + 1 < colour.size(); ++c) {
-      parts[k].solver.team->run(colour[c], colour[c + 1], blocks_at_once,
-                                [&](uint32_t first, uint32_t last) { kernels().relax_nodes(views[k], first, last); });
-    }
+  size_t colours = 0;
+  for (const NodalPart& part : parts) colours = std::max(colours, part.input.model.blocks->colour.size() - 1);
+  for (size_t c = 0; c < colours; ++c) {
+    // The blocks of this colour, of one car after the other.
+    const auto visit = [&](uint32_t first, uint32_t last, const auto& work) {
+      uint32_t begin = 0;
+      for (size_t k = 0; k < parts.size(); ++k) {
+        const std::vector<uint32_t>& colour = parts[k].input.model.blocks->colour;
+        const uint32_t size = c + 1 < colour.size() ? colour[c + 1] - colour[c] : 0, end = begin + size;
+        if (first < end && last > begin) {
+          work(k, colour[c] + std::max(first, begin) - begin, colour[c] + std::min(last, end) - begin);
+        }
+        begin = end;
+      }
+      return begin;
+    };
+    const uint32_t all = visit(0, 0, [](size_t, uint32_t, uint32_t) {});
+    parts.front().solver.team->run(0, all, blocks_at_once, [&](uint32_t first, uint32_t last) {
+      visit(first, last, [&](size_t k, uint32_t from, uint32_t to) { kernels().relax_nodes(views[k], from, to); });
+    });
   }
 }
 
