@@ -46,12 +46,19 @@ struct Share {
   }
 };
 
+// Cars that may touch one another need more: at 50 km/h head-on, 2,454 nodes each, 4 sweeps crush 3 % more than all sweeps and
+// do not part (restitution 0 instead of 0.21), 8 sweeps crush 0.2 % more and part (0.13), 12 part at 0.18; with half of the
+// sub-steps they crush 4 % more and do not part, with 8 sweeps or 12 (crumple_pairs --sweeps N --substeps N).
+bool meets_cars(const Instance& car) { return !car.body.pairs.near.empty(); }
+
 int fewest_sweeps(const Instance& car, int substeps) {
+  if (meets_cars(car)) return fewest_of_halved;
   const bool longer = substeps < int(car.parameters.substeps) && car.car->model.node.size() >= few_nodes;
   return longer ? fewest_of_halved : fewest;
 }
 
 bool may_halve(const Instance& car, int substeps, double seconds) {
+  if (meets_cars(car)) return false;
   if (substeps % 2 != 0 || substep_count(substeps / 2, seconds) == substep_count(substeps, seconds)) return false;
   Parameters halved = car.parameters;
   halved.substeps = uint16_t(substeps / 2);

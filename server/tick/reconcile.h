@@ -29,7 +29,7 @@ uint64_t hash(const ImpulseLog&);
 
 inline constexpr double teleport = 5;  // m: a pose farther than this from the car's own means a new place, not a disagreement
 
-// now: the current tick. touching: an obstacle touched the car in the previous tick.
+// now: the current tick. touching: in the previous tick an obstacle or a car touched the car, or a car was near.
 Motion reconcile(const Motion& own, const Intent&, const ImpulseLog&, uint64_t now, bool touching);
 
 }  // namespace crumple

@@ -51,7 +51,10 @@ bool touched(const StepResult& result) {
 // Sets the motion from which the tick starts, from the host's intent.
 void receive(const World& world, Instance& car) {
   if (!car.intent) return;
-  const bool touching = car.touched_tick != 0 && car.touched_tick + 1 == world.tick;
+  // Beside another car too: if ticks are late, a host is ahead, and its pose would put the car into the other one.
+  const PairMemory& pairs = car.body.pairs;
+  const bool touching =
+      (car.touched_tick != 0 && car.touched_tick + 1 == world.tick) || pairs.near.size() > pairs.passing.size();
   car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
   car.intent.reset();
 }
