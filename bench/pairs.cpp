@@ -1,6 +1,7 @@
 // Cars that hit each other, beside answers that are known: a car that meets its like at equal speed crushes as in a wall,
 // momentum and energy are kept, and what one sees another may not change.
-//   crumple_pairs CAR...        one table per car
+//   crumple_pairs CAR...        one table per car; --help lists the options
+#include <CLI/CLI.hpp>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -19,6 +20,13 @@ using Eigen::Vector3d;
 
 constexpr double pi = 3.14159265358979;
 constexpr double crash_seconds = 0.35;
+
+struct Options {
+  std::vector<std::string> cars;
+  double kmh = 50;
+  uint16_t sweeps = 0, substeps = 0;  // 0: the default, with its tolerance
+  std::string scene;
+};
 
 double seconds_now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
 
@@ -98,11 +106,11 @@ void print(const Row& row, double speed) {
       sweeps / std::max(1.0, substeps), row.ms);
 }
 
-void play_car(const std::shared_ptr<const Car>& car, double kmh) {
-  const double v = kmh / 3.6, front = front_of(*car), back = back_of(*car), wide = half_width_of(*car);
+void play_car(const std::shared_ptr<const Car>& car, const Options& options) {
+  const double v = options.kmh / 3.6, front = front_of(*car), back = back_of(*car), wide = half_width_of(*car);
   const double gap = 0.05;
   std::printf("\n%s: %zu nodes, %zu boundary nodes, %zu triangles, %.0f km/h\n\n", car->name.c_str(), car->model.node.size(),
-              car->boundary.node.size(), car->boundary.triangle.size(), kmh);
+              car->boundary.node.size(), car->boundary.triangle.size(), options.kmh);
   std::printf(
       "| scene | nose crush first, last mm | vx / v | yaw rad/s | peak kN | energy | created %% | momentum | angular | inside "
       "node, any mm | sub-steps, sweeps | ms |\n|---|\n");
@@ -110,7 +118,12 @@ void play_car(const std::shared_ptr<const Car>& car, double kmh) {
   const auto scene = [&](const std::string& name, double seconds, const std::function<void(PileUp&)>& fill) {
     Row row{name, {}, seconds};
     row.scene.cars.reserve(16);
+    if (name.find(options.scene) == std::string::npos) return;
     fill(row.scene);
+    for (CrashCar& each : row.scene.cars) {
+      if (options.substeps > 0) each.parameters.substeps = options.substeps;
+      if (options.sweeps > 0) each.parameters.iterations = options.sweeps, each.parameters.tolerance = 0;
+    }
     play(row);
     print(row, v);
   };
@@ -159,12 +172,14 @@ void play_car(const std::shared_ptr<const Car>& car, double kmh) {
 }  // namespace
 
 int main(int count, char** argument) {
-  if (count < 2) {
-    std::fprintf(stderr, "usage: crumple_pairs CAR...\n");
-    return 2;
-  }
-  for (int k = 1; k < count; ++k) {
-    const auto car = load_car(argument[k]);
-    play_car(car, 50);
-  }
+  CLI::App app{"Plays ten scenes of cars that hit each other, and prints what is kept and what an equal wall would give."};
+  Options options;
+  app.add_option("car", options.cars, "baked cars")->required()->check(CLI::ExistingFile);
+  app.add_option("--kmh", options.kmh, "speed of each moving car")->check(CLI::Range(1.0, 200.0))->capture_default_str();
+  app.add_option("--sweeps", options.sweeps, "exactly so many sweeps a sub-step (default: 24 at most, by tolerance)")
+      ->check(CLI::Range(2, 1000));
+  app.add_option("--substeps", options.substeps, "sub-steps in 1/60 s (default: 4)")->check(CLI::Range(1, 64));
+  app.add_option("--scene", options.scene, "only scenes whose name contains this");
+  CLI11_PARSE(app, count, argument);
+  for (const std::string& file : options.cars) play_car(load_car(file), options);
 }
