@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import dataclasses
 import itertools
 import multiprocessing
 import os
@@ -256,11 +257,12 @@ class Stage:
         self.high = points.max(0) + [0.25, 0.25, 0.45]
         self.camera = self._best_camera([deepest, moments[-1]], points, width, height)
 
-    def scene(self, moment: Moment) -> Scene:
+    def scene(self, moment: Moment, clear: bool = True) -> Scene:
+        """clear: one can see through glass."""
         cars = [mesh for car, vertex in moment.vertex.items()
                 for mesh in car_meshes(vertex, self.film.triangle[car], self.film.kind[car], self.paint[car])]
         found = [mesh for each in moment.obstacles if (mesh := obstacle_mesh(each, self.low, self.high))]
-        return Scene(cars + found, self.ground)
+        return Scene([mesh if clear else dataclasses.replace(mesh, glass=False) for mesh in cars + found], self.ground)
 
     def bare(self) -> Stage:
         """Gives a stage without moments: another process needs no more."""
@@ -275,7 +277,7 @@ class Stage:
         for moment in moments:
             vertex = np.concatenate(list(moment.vertex.values()))
             dent = np.concatenate([self.film.moments[-1].dent.get(car, dent) for car, dent in moment.dent.items()])
-            judged.append((self.scene(moment), vertex[::3], dent[::3] ** 2 + 0.02 * max(float(dent.max()), 1e-3) ** 2))
+            judged.append((self.scene(moment, clear=False), vertex[::3], dent[::3] ** 2 + 0.02 * max(float(dent.max()), 1e-3) ** 2))
         best, found = -1.0, None
         for turn in np.arange(24) * np.pi / 12 + 0.2:
             for rise, sun in itertools.product((0.15, 0.28, 0.5), (-0.6, 0.6)):
