@@ -17,6 +17,7 @@ TITLES = {
     "geometry": "Shapes shared by all",
     "car": "The baked car",
     "regions": "The regions file",
+    "parts": "The parts file",
     "scene": "Scenes and presets",
 }
 TOKEN = re.compile(r"//[^\n]*|\b(?:table|struct|enum|union)\s+\w+[^{]*\{|\}")

@@ -13,7 +13,7 @@ constexpr double tick_seconds = 1.0 / 60;
 
 // A car that drives along x into obstacles.
 struct Crash {
-  std::shared_ptr<const Car> car = box_car();
+  std::shared_ptr<const Car> car;
   const Model& model = car->model;
   Parameters parameters;
   Mass mass;
@@ -24,7 +24,7 @@ struct Crash {
   StepResult total;  // with the sums of the impulses
   double front = 0;
 
-  Crash() {
+  explicit Crash(std::shared_ptr<const Car> given = box_car()) : car(std::move(given)) {
     mass.mass = model.mass;
     mass.center = model.center_of_mass.cast<double>();
     mass.inertia = model.inertia.cast<double>();

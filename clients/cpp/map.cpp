@@ -104,6 +104,10 @@ int crumple_map(Crumple* handle, const char* hash, CrumpleOwnMesh* mesh, uint32_
     const auto* vertex = reinterpret_cast<const Point*>(surface.vertex);
     const auto* triangle = reinterpret_cast<const Corners*>(surface.triangle);
     own.mapping = map_vertices({vertex, surface.vertex_count}, {triangle, surface.triangle_count}, placed, own.normal);
+    for (size_t i = 0; i < placed.size() && !asset.parts.part.empty(); ++i) {
+      const uint8_t part = asset.parts.of_vertex[own.mapping.corner[i][0]];
+      if (asset.parts.part[part].kind == crumple::schema::PartKind::wheel) own.on_wheel.push_back({i, part, placed[i]});
+    }
     mesh->on_vertices = own.mapping.on_vertices;
     mesh->farthest = *std::max_element(own.mapping.distance.begin(), own.mapping.distance.end());
     session->own.push_back(std::move(own));

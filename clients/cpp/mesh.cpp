@@ -41,6 +41,38 @@ bool read_skin(const schema::Car& car, Asset& asset) {
   return asset.skin.size() == car.vertex()->size() && asset.skin_nodes > 0;
 }
 
+// Reads the parts, and finds the nodes around them. Returns what is wrong, or NULL.
+const char* take_parts(const schema::Car& car, Asset& asset) {
+  asset.part.clear(), asset.rest.clear(), asset.around.clear();
+  if (const char* why = read_parts(car, asset.parts)) return why;
+  if (asset.parts.part.empty()) return nullptr;
+  std::vector<uint8_t> used(car.node()->size(), 0);
+  for (const schema::Skin* skin : *car.skin()) {
+    if (skin->wa() > 0) used[skin->a()] = 1;
+    if (skin->wb() > 0) used[skin->b()] = 1;
+    if (skin->wc() > 0) used[skin->c()] = 1;
+    if (skin->wd() > 0) used[skin->d()] = 1;
+  }
+  for (uint32_t i = 0; i < used.size(); ++i) {
+    const schema::Vec3& node = *car.node()->Get(i);
+    if (!used[i]) continue;
+    if (!std::isfinite(node.x()) || !std::isfinite(node.y()) || !std::isfinite(node.z()))
+      return "a node is not a finite number";
+    asset.rest.push_back({node.x(), node.y(), node.z()});
+  }
+  for (const Part& part : asset.parts.part) {
+    asset.around.push_back(nodes_around(part, asset.rest));
+    CrumplePart& view = asset.part.emplace_back();
+    view.name = part.name.c_str();
+    view.kind = static_cast<int>(part.kind);
+    std::copy(part.position.begin(), part.position.end(), view.position);
+    std::copy(part.orientation.begin(), part.orientation.end(), view.orientation);
+    view.radius = part.radius;
+    view.width = part.width;
+  }
+  return nullptr;
+}
+
 // Sets the pointers of a mesh.
 std::string read_mesh(const std::string& hash, Asset& asset) {
   const std::span<const uint8_t> bytes = asset.baked.bytes();
@@ -56,6 +88,7 @@ std::string read_mesh(const std::string& hash, Asset& asset) {
     if (!std::isfinite(v->x()) || !std::isfinite(v->y()) || !std::isfinite(v->z()))
       return "a vertex of asset " + hash + " is not a finite number";
   if (!read_skin(car, asset)) return "the skin of asset " + hash + " names nodes that it does not have";
+  if (const char* why = take_parts(car, asset)) return "asset " + hash + " is refused: " + why;
   asset.mesh.vertex_count = vertices;
   asset.mesh.triangle_count = triangle.size() / 3;
   asset.mesh.vertex = reinterpret_cast<const float*>(car.vertex()->Data());
@@ -104,6 +137,17 @@ int crumple::client::mesh_of(Crumple* session, const char* hash, CrumpleMesh* ou
 
 int crumple_mesh(Crumple* handle, const char* asset, CrumpleMesh* out) {
   return with(handle, {{"asset", asset}, {"out", out}}, [&](Crumple* session) { return mesh_of(session, asset, out); });
+}
+
+int crumple_parts(Crumple* handle, const char* hash, CrumpleParts* out) {
+  return with(handle, {{"asset", hash}, {"out", out}}, [&](Crumple* session) -> int {
+    CrumpleMesh mesh;
+    if (const int status = mesh_of(session, hash, &mesh); status != CRUMPLE_OK) return status;
+    const Asset& asset = session->assets.find(std::string_view(hash))->second;
+    const auto count = static_cast<uint32_t>(asset.part.size());
+    *out = {count, count ? asset.part.data() : nullptr, count ? asset.parts.of_vertex.data() : nullptr};
+    return CRUMPLE_OK;
+  });
 }
 
 int crumple_add_asset(Crumple* handle, const void* car, size_t size, char hash[17]) {

@@ -21,6 +21,7 @@
 #include "viewer/fetch.h"
 #include "viewer/follow.h"
 #include "viewer/mapping.h"
+#include "viewer/parts.h"
 
 namespace crumple::client {
 
@@ -78,6 +79,13 @@ struct OwnMesh {
   std::vector<Point> position;         // at rest, in the mesh's coordinates
   std::vector<Point> normal, tangent;  // at rest, in the car's frame; empty: it has none
   Rows to_car, from_car;               // the linear part of the mesh's matrix, and its inverse
+  // Vertices on wheels, which move rigidly.
+  struct OnWheel {
+    size_t vertex;
+    uint8_t part;
+    Point at;  // at rest, in the car's frame
+  };
+  std::vector<OnWheel> on_wheel;
 };
 
 // A simulated bad line, with its messages by time of arrival. They go to the session, or with a whole key to the server.
@@ -113,6 +121,10 @@ struct Asset {
   CrumpleMesh mesh{};  // views of it
   uint32_t skin_nodes = 0;
   std::vector<SkinVertex> skin;  // per vertex
+  Parts parts;
+  std::vector<CrumplePart> part;    // views of `parts`
+  std::vector<Point> rest;          // of the nodes of the skin; these two are empty if there are no parts
+  std::vector<NodesAround> around;  // per part
 };
 
 // Keeps the sentence for crumple_error and returns the status.
@@ -152,6 +164,7 @@ struct Crumple {
   std::vector<crumple::client::OwnMesh> own;                // mapping k + 1 is own[k]
   std::vector<float> node, displacement, position, normal;  // scratch of crumple_copy
   std::vector<crumple::client::Point> cross;
+  std::vector<crumple::client::Motion> motion;  // by part; of other parts than wheels that at rest
   std::vector<uint8_t> moved;
 };
 

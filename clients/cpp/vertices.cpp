@@ -8,6 +8,7 @@
 #include "cpp/session.h"
 
 using namespace crumple::client;
+using crumple::schema::PartKind;
 
 namespace {
 
@@ -31,9 +32,30 @@ float nodes_at(const FollowedCar& car, const std::deque<Past>& past, double tick
   return next->quantum;
 }
 
-void displace(const Asset& asset, const std::vector<float>& node, float quantum, std::vector<float>& out) {
+bool is_wheel(const Asset& asset, size_t part) { return asset.parts.part[part].kind == PartKind::wheel; }
+
+// The part of a vertex, if that is a wheel, else 0.
+uint8_t wheel_of(const Asset& asset, size_t vertex) {
+  if (asset.parts.of_vertex.empty()) return 0;
+  const uint8_t part = asset.parts.of_vertex[vertex];
+  return is_wheel(asset, part) ? part : 0;
+}
+
+void move_wheels(const Asset& asset, const std::vector<float>& node, float quantum, std::vector<Motion>& out) {
+  out.assign(asset.parts.part.size(), {});
+  for (size_t k = 0; k < out.size(); ++k)
+    if (is_wheel(asset, k)) out[k] = motion_of(asset.around[k], asset.rest, node, quantum);
+}
+
+void displace(const Asset& asset, const std::vector<float>& node, float quantum, const std::vector<Motion>& motion,
+              std::vector<float>& out) {
   out.resize(3 * asset.skin.size());
   for (size_t i = 0; i < asset.skin.size(); ++i) {
+    if (const uint8_t wheel = wheel_of(asset, i)) {
+      const float* at = asset.mesh.vertex + 3 * i;
+      std::ranges::copy(motion[wheel].displacement({at[0], at[1], at[2]}), &out[3 * i]);
+      continue;
+    }
     const SkinVertex& vertex = asset.skin[i];
     for (size_t axis = 0; axis < 3; ++axis) {
       float sum = 0;
@@ -76,9 +98,17 @@ void mark(const Asset& asset, const std::vector<float>& now, const std::vector<f
     return std::memcmp(&now[size_t{3} * node], &before[size_t{3} * node], 3 * sizeof(float)) != 0;
   };
   constexpr uint8_t itself = 1, neighbour = 2;
-  for (size_t i = 0; i < moved.size(); ++i)
+  std::vector<uint8_t> rolled(asset.parts.part.size(), 0);
+  for (size_t k = 0; k < rolled.size(); ++k)
+    if (is_wheel(asset, k)) rolled[k] = std::ranges::any_of(asset.around[k].node, differs);
+  for (size_t i = 0; i < moved.size(); ++i) {
+    if (const uint8_t wheel = wheel_of(asset, i)) {
+      moved[i] = rolled[wheel] ? itself : 0;
+      continue;
+    }
     for (size_t k = 0; k < 4; ++k)
       if (asset.skin[i].weight[k] > 0 && differs(asset.skin[i].at[k])) moved[i] = itself;
+  }
   const uint32_t* triangle = asset.mesh.triangle;
   for (size_t t = 0; t < 3 * size_t{asset.mesh.triangle_count}; t += 3) {
     const uint32_t a = triangle[t], b = triangle[t + 1], c = triangle[t + 2];
@@ -99,7 +129,7 @@ std::span<const Corners> triangles(const CrumpleMesh& mesh) {
 
 // Writes the vertices of a game's own mesh. cross: of the surface's triangles now, if normals or tangents are wanted.
 void write_own(const OwnMesh& own, std::span<const Point> displacement, std::span<const Point> cross,
-               const CrumpleVertices& out, size_t count) {
+               std::span<const Motion> motion, const CrumpleVertices& out, size_t count) {
   const size_t step = out.stride / sizeof(float);
   const Rows normals_from_car = transposed(own.to_car);  // a matrix turns normals by the transpose of its inverse
   const auto put = [&](float* to, size_t i, const Point& value) { std::copy_n(value.data(), 3, to + step * i); };
@@ -116,6 +146,41 @@ void write_own(const OwnMesh& own, std::span<const Point> displacement, std::spa
     if (out.normal) put(out.normal, i, unit(normals_from_car * turn(normal)));
     if (out.tangent && !own.tangent.empty()) put(out.tangent, i, unit(own.from_car * turn(own.tangent[i])));
   }
+  for (const auto& [i, part, at] : own.on_wheel) {
+    if (i >= count) break;
+    const Point moved = own.from_car * motion[part].displacement(at);
+    const Point& rest = own.position[i];
+    if (out.position) put(out.position, i, {rest[0] + moved[0], rest[1] + moved[1], rest[2] + moved[2]});
+    if (out.displacement) put(out.displacement, i, moved);
+    const Point& normal = own.normal.empty() ? own.mapping.facing[i] : own.normal[i];
+    if (out.normal) put(out.normal, i, unit(normals_from_car * motion[part].turned(normal)));
+    if (out.tangent && !own.tangent.empty()) put(out.tangent, i, unit(own.from_car * motion[part].turned(own.tangent[i])));
+  }
+}
+
+// The car whose vertices a caller wants, if its surface and its mesh are there.
+struct Shape {
+  const FollowedCar* car = nullptr;
+  ShownCar* shown = nullptr;
+  CrumpleMesh mesh{};
+  const Asset* asset = nullptr;
+};
+int find_shape(Crumple* session, const char* id, double time, Shape& out) {
+  const auto at = session->following.cars.find(id);
+  if (at == session->following.cars.end())
+    return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: call crumple_follow");
+  out.car = &at->second;
+  out.shown = &session->shown[at->first];
+  if (!held(*out.car)) return CRUMPLE_PENDING;
+  if (std::isnan(time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
+  const Surface& surface = out.car->surface;
+  if (time != 0 && out.shown->past.empty()) remember(surface, *out.shown, session->clock.rate);
+  if (const int status = mesh_of(session, surface.asset.c_str(), &out.mesh); status != CRUMPLE_OK) return status;
+  out.asset = &session->assets.at(surface.asset);
+  if (surface.quanta.size() != size_t{3} * out.asset->skin_nodes)
+    return fail(CRUMPLE_NO_ANSWER,
+                "the surface of car " + std::string(id) + " and the skin of its asset have different numbers of nodes");
+  return CRUMPLE_OK;
 }
 
 void write(const std::vector<float>& from, const CrumpleVertices& out, size_t count, float* to) {
@@ -135,24 +200,16 @@ void crumple::client::remember(const Surface& surface, ShownCar& shown, double r
 
 int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
   return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
-    const auto at = session->following.cars.find(id);
-    if (at == session->following.cars.end())
-      return fail(CRUMPLE_UNKNOWN, std::string("car ") + id + " is not followed: call crumple_follow");
     if (out->stride < 12 || out->stride % 4 != 0 || out->stride > stride_limit)
       return fail(CRUMPLE_BAD_ARGUMENT, "stride is not a multiple of 4 from 12 to 4096");
-    const FollowedCar& car = at->second;
-    const Surface& surface = car.surface;
-    ShownCar& shown = session->shown[at->first];
-    if (!held(car)) return CRUMPLE_PENDING;
     if (out->mapping > session->own.size()) return fail(CRUMPLE_BAD_ARGUMENT, "mapping is none that crumple_map gave");
-    if (std::isnan(out->time)) return fail(CRUMPLE_BAD_ARGUMENT, "time is not a number");
-    if (out->time != 0 && shown.past.empty()) remember(surface, shown, session->clock.rate);
-    CrumpleMesh mesh;
-    if (const int status = mesh_of(session, surface.asset.c_str(), &mesh); status != CRUMPLE_OK) return status;
-    const Asset& asset = session->assets.at(surface.asset);
-    if (surface.quanta.size() != size_t{3} * asset.skin_nodes)
-      return fail(CRUMPLE_NO_ANSWER,
-                  "the surface of car " + std::string(id) + " and the skin of its asset have different numbers of nodes");
+    Shape shape;
+    if (const int status = find_shape(session, id, out->time, shape); status != CRUMPLE_OK) return status;
+    const FollowedCar& car = *shape.car;
+    const Surface& surface = car.surface;
+    ShownCar& shown = *shape.shown;
+    const CrumpleMesh& mesh = shape.mesh;
+    const Asset& asset = *shape.asset;
 
     const OwnMesh* own = out->mapping ? &session->own[out->mapping - 1] : nullptr;
     if (own && own->asset != surface.asset)
@@ -160,14 +217,15 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
     const size_t count = std::min(out->capacity, own ? own->position.size() : asset.skin.size());
     std::vector<float>&displacement = session->displacement, &position = session->position;
     const float quantum = nodes_at(car, shown.past, out->time * session->clock.rate, session->node);
-    displace(asset, session->node, quantum, displacement);
+    move_wheels(asset, session->node, quantum, session->motion);
+    displace(asset, session->node, quantum, session->motion, displacement);
     position.resize(displacement.size());
     std::transform(displacement.begin(), displacement.end(), mesh.vertex, position.begin(), std::plus<>());
     const size_t vertices = asset.skin.size();
     if (own) {
       session->cross.clear();
       if (out->normal || out->tangent) find_crosses(points(position.data(), vertices), triangles(mesh), session->cross);
-      write_own(*own, points(displacement.data(), vertices), session->cross, *out, count);
+      write_own(*own, points(displacement.data(), vertices), session->cross, session->motion, *out, count);
     } else {
       if (out->normal) find_normals(mesh, position, session->normal);
       write(position, *out, count, out->position);
@@ -196,6 +254,22 @@ int crumple_copy(Crumple* handle, const char* id, CrumpleVertices* out) {
     copied.node.swap(session->node);
     const bool newest = out->time <= 0 || out->time * session->clock.rate >= static_cast<double>(surface.tick);
     shown.dirty &= !newest;
+    return CRUMPLE_OK;
+  });
+}
+
+int crumple_part_pose(Crumple* handle, const char* id, uint32_t part, double time, CrumplePose* out) {
+  return with(handle, {{"car", id}, {"out", out}}, [&](Crumple* session) -> int {
+    Shape shape;
+    if (const int status = find_shape(session, id, time, shape); status != CRUMPLE_OK) return status;
+    const Asset& asset = *shape.asset;
+    if (part >= asset.parts.part.size())
+      return fail(CRUMPLE_BAD_ARGUMENT,
+                  "the car has " + std::to_string(asset.parts.part.size()) + " parts: crumple_parts lists them");
+    const float quantum = nodes_at(*shape.car, shape.shown->past, time * session->clock.rate, session->node);
+    const Place place = place_of(asset.parts.part[part], motion_of(asset.around[part], asset.rest, session->node, quantum));
+    std::ranges::copy(place.position, out->position);
+    std::ranges::transform(place.orientation, out->orientation, [](double x) { return static_cast<float>(x); });
     return CRUMPLE_OK;
   });
 }

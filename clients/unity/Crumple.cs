@@ -162,6 +162,33 @@ public struct Mesh {
   public string Attribution { get { return Native.Text(attribution); } }
 }
 
+public enum PartKind { Body, Panel, Glass, Light, Wheel, Interior, Point }
+
+/// A part of a car, with a frame of its own: the place of the frame at rest, in the car's frame. A wheel has its hub there and turns
+/// about y of the frame; other parts have the middle of their vertices there.
+public struct Part {
+  internal IntPtr name;
+  internal int kind;
+  public Float3 Position;  // m
+  public Rotation Orientation;
+  public float Radius, Width;  // of a wheel, m
+  public string Name { get { return Native.Text(name); } }
+  public PartKind Kind { get { return (PartKind)kind; } }
+}
+
+/// The pointers stay valid as long as the session.
+public struct Parts {
+  public uint Count;  // 0: the car has only a body
+  internal IntPtr part;
+  public IntPtr VertexPart;  // byte: for each vertex of the mesh the index of its part
+  public Part this[int i] {
+    get {
+      if (i < 0 || i >= Count) throw new ArgumentOutOfRangeException("i");
+      return (Part)Marshal.PtrToStructure(part + i * Marshal.SizeOf(typeof(Part)), typeof(Part));
+    }
+  }
+}
+
 public struct Health {
   public ulong Tick, Late;
   public float Rate, TickMs, WorstMs;
@@ -312,6 +339,12 @@ public sealed class Session : IDisposable {
   public bool TrySurface(string car, out Surface surface) { return Check(Native.crumple_surface(Open, Id(car), out surface)) == 0; }
   /// Returns false while the surface or its mesh is missing.
   public bool Copy(string car, ref Vertices vertices) { return Check(Native.crumple_copy(Open, Id(car), ref vertices)) == 0; }
+  /// The parts of a car: wheels, glass, points and so on. False: the asset has not come yet.
+  public bool TryParts(string asset, out Parts parts) { return Check(Native.crumple_parts(Open, Id(asset), out parts)) == 0; }
+  /// Where the frame of a part is now, in the car's frame. time, false: as in Copy.
+  public bool TryPartPose(string car, int part, double time, out Pose pose) {
+    return Check(Native.crumple_part_pose(Open, Id(car), (uint)part, time, out pose)) == 0;
+  }
   /// Binds your own mesh to a baked car: for Vertices.Mapping. False: the asset has not come yet.
   public bool TryMap(string asset, ref OwnMesh mesh, out uint mapping) {
     return Check(Native.crumple_map(Open, Id(asset), ref mesh, out mapping)) == 0;
@@ -404,6 +437,8 @@ static class Native {
   [DllImport(library)] public static extern int crumple_surface(IntPtr session, IntPtr car, out Surface surface);
   [DllImport(library)] public static extern int crumple_copy(IntPtr session, IntPtr car, ref Vertices vertices);
   [DllImport(library)] public static extern int crumple_map(IntPtr session, IntPtr asset, ref OwnMesh mesh, out uint mapping);
+  [DllImport(library)] public static extern int crumple_parts(IntPtr session, IntPtr asset, out Parts parts);
+  [DllImport(library)] public static extern int crumple_part_pose(IntPtr session, IntPtr car, uint part, double time, out Pose pose);
   [DllImport(library)] public static extern int crumple_mesh(IntPtr session, IntPtr asset, out Mesh mesh);
   [DllImport(library)] public static extern int crumple_add_asset(IntPtr session, byte[] car, UIntPtr size, [Out] byte[] hash);
   [DllImport(library)] public static extern int crumple_health(IntPtr session, out Health health);

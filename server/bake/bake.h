@@ -11,6 +11,7 @@
 
 #include "bake/make_tets.h"
 #include "bake/paint_regions.h"
+#include "bake/parts.h"
 #include "car/car.h"
 #include "car/mesh.h"
 
@@ -24,6 +25,7 @@ struct BakeOptions {
   std::optional<Mesher> mesher;        // makes the tets (make_tets.h); none: fTetWild of a closed part, else the lattice
   std::filesystem::path tets;          // tets made elsewhere, in the surface's coordinates; empty: the mesher makes them
   std::optional<RegionsText> regions;  // none: the default safety cell
+  std::optional<PartsText> parts;      // none: those that propose_parts() finds
   double mass = 0;                     // kg; 0: a baked car's own, else default_mass
   ImportOptions import;                // axes and unit of the input
   std::string name;                    // empty: a baked car's own, else the input's file name
@@ -34,14 +36,16 @@ inline constexpr double default_mass = 1'500;  // kg
 struct BakeResult {
   std::shared_ptr<const Car> car;
   std::vector<std::string> report;  // what was read, made, dropped and reached; one fact per line
-  std::vector<double> distance;     // m, from each vertex of the car to its tet; 0 inside
+  std::vector<double> distance;     // m, from each vertex of the car to its tet; 0 inside, and of wheels
+  std::string parts;                // the parts as JSON, in the form of schema/parts.fbs; empty if the input is a baked car
 };
 
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 BakeResult bake(const BakeOptions&, const Progress&);
 
-// The steps after the tets. source_to_car: as in Car. Tests and benchmarks call it.
-BakeResult assemble_car(Surface, TetMesh, const BakeOptions&, std::span<const double> source_to_car = {});
+// The steps after the tets. source_to_car: as in Car. part: what Surface.part names. Tests and benchmarks call it.
+BakeResult assemble_car(Surface, TetMesh, const BakeOptions&, std::span<const double> source_to_car = {},
+                        const std::vector<Part>& part = {});
 
 bool is_baked_car(const std::filesystem::path& file);
 // Paints a baked car anew: surface, tets and skin stay; regions, anchors and everything that depends on them become what a bake

@@ -1,5 +1,6 @@
 #include "bake/import_surface.h"
 
+#include <assimp/GltfMaterial.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
 #include <fcntl.h>
@@ -15,6 +16,7 @@
 #include <csignal>
 #include <cstring>
 #include <numeric>
+#include <sstream>
 #include <stdexcept>
 
 #include "bake/check_shape.h"
@@ -32,11 +34,14 @@ constexpr size_t most_levels_read = 1000;                  // nesting of nodes: 
 constexpr uintmax_t largest_input = uintmax_t{512} << 20;  // bytes: a car with its textures in one GLB
 constexpr rlim_t reader_memory = rlim_t{2} << 30;          // bytes: four times the largest input
 constexpr unsigned reader_seconds = 300;                   // s; the largest input takes seconds
-constexpr size_t most_names_read = 4096, longest_name = 128;
-// The triangles from `first` up to the next part's. The name is the file's, ends at a zero, and may hold any bytes.
+constexpr size_t most_names_read = 4096, longest_name = 128, longest_names = 512;
+constexpr float opaque = 0.99f;
+// The triangles from `first` up to the next part's. The names are the file's, end at a zero, and may hold any bytes.
 struct PartRead {
   uint32_t first = 0;
+  uint32_t transparent = 0;
   char name[longest_name] = {};
+  char names[longest_names] = {};  // a line each
 };
 // Most bytes of the child's answer: position and colour per vertex, corners per triangle, names, and some counts.
 constexpr size_t most_answer = most_vertices_read * (3 * sizeof(double) + sizeof(uint32_t)) +
@@ -109,6 +114,14 @@ void append(const aiMesh& mesh, const Eigen::Affine3d& placed, const std::string
   }
 }
 
+bool is_transparent(const aiMaterial& material) {
+  float opacity = 1;
+  material.Get(AI_MATKEY_OPACITY, opacity);
+  aiString mode;
+  material.Get(AI_MATKEY_GLTF_ALPHAMODE, mode);
+  return opacity < opaque || std::strcmp(mode.C_Str(), "BLEND") == 0;
+}
+
 // A node may hold several meshes, which differ by their materials.
 void start_part(const aiScene& scene, const aiNode& node, const aiMesh& mesh, Flattened& out) {
   if (out.part.size() == most_names_read) return;
@@ -116,8 +129,19 @@ void start_part(const aiScene& scene, const aiNode& node, const aiMesh& mesh, Fl
   if (node.mNumMeshes > 1 && mesh.mMaterialIndex < scene.mNumMaterials)
     name += std::string(" ") + scene.mMaterials[mesh.mMaterialIndex]->GetName().C_Str();
   if (out.part.size() + 1 == most_names_read) name = "other parts";
-  PartRead part{static_cast<uint32_t>(out.triangle.size()), {}};
+  PartRead part;
+  part.first = static_cast<uint32_t>(out.triangle.size());
   std::memcpy(part.name, name.data(), std::min(name.size(), longest_name));
+  std::string names;
+  if (mesh.mMaterialIndex < scene.mNumMaterials) {
+    const aiMaterial& material = *scene.mMaterials[mesh.mMaterialIndex];
+    names = std::string(material.GetName().C_Str()) + "\n";
+    part.transparent = is_transparent(material);
+  }
+  names += mesh.mName.C_Str();
+  for (const aiNode* each = &node; each && names.size() < longest_names; each = each->mParent)
+    names += std::string("\n") + each->mName.C_Str();
+  if (out.part.size() + 1 < most_names_read) std::memcpy(part.names, names.data(), std::min(names.size(), longest_names));
   out.part.push_back(part);
 }
 
@@ -343,15 +367,24 @@ void drop_unused(Surface& surface, const std::vector<uint8_t>& used) {
     for (uint32_t& vertex : triangle) vertex = place[vertex];
 }
 
+std::string printable(std::string text) {
+  for (char& c : text) c = c >= ' ' && c <= '~' ? c : '?';
+  return text;
+}
+
 // The names are a stranger's text: only printable ASCII is shown.
 std::vector<NamedPart> named_parts(const std::vector<PartRead>& read, const std::vector<uint32_t>& kept) {
   std::vector<NamedPart> out;
   for (const PartRead& part : read) {
-    std::string name(part.name, strnlen(part.name, longest_name));
-    for (char& c : name) c = c >= ' ' && c <= '~' ? c : '?';
-    if (name.find_first_not_of(' ') == name.npos) name = "a part without a name";
-    const auto first = std::lower_bound(kept.begin(), kept.end(), part.first);
-    out.push_back({std::move(name), static_cast<size_t>(first - kept.begin())});
+    NamedPart named;
+    named.name = printable({part.name, strnlen(part.name, longest_name)});
+    if (named.name.find_first_not_of(' ') == named.name.npos) named.name = "a part without a name";
+    named.first = static_cast<size_t>(std::lower_bound(kept.begin(), kept.end(), part.first) - kept.begin());
+    std::istringstream names(std::string(part.names, strnlen(part.names, longest_names)));
+    for (std::string line; std::getline(names, line);)
+      if (!line.empty()) named.names.push_back(printable(line));
+    named.transparent = part.transparent;
+    out.push_back(std::move(named));
   }
   std::stable_sort(out.begin(), out.end(), [](const NamedPart& a, const NamedPart& b) { return a.first < b.first; });
   return out;
@@ -427,6 +460,24 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
   out.report.insert(out.report.end(), shape.begin(), shape.end());
   if (flat.not_triangles)
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
+  return out;
+}
+
+ImportedSurface keep_triangles(const ImportedSurface& all, const std::vector<uint8_t>& keep) {
+  ImportedSurface out;
+  out.from_file = all.from_file;
+  out.surface.vertex = all.surface.vertex;
+  out.surface.color = all.surface.color;
+  std::vector<uint8_t> used(all.surface.vertex.size(), 0);
+  for (size_t i = 0; i < keep.size(); ++i) {
+    if (!keep[i]) continue;
+    out.surface.triangle.push_back(all.surface.triangle[i]);
+    out.kept.push_back(all.kept[i]);
+    for (uint32_t vertex : all.surface.triangle[i]) used[vertex] = 1;
+  }
+  drop_unused(out.surface, used);
+  out.parts = count_parts(out.surface);
+  out.open_edges = count_open_edges(out.surface);
   return out;
 }
 

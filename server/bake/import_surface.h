@@ -20,10 +20,12 @@ struct ImportOptions {
   double scale = 1;  // metres per unit of the file
 };
 
-// A node of the file. Its triangles are those from `first` up to the first of the next part.
+// A mesh of a node of the file. Its triangles are those from `first` up to the first of the next part.
 struct NamedPart {
   std::string name;  // at most 128 bytes of printable ASCII
   size_t first = 0;
+  std::vector<std::string> names = {};  // of its material, mesh and node, and of the nodes above; at most 512 bytes in all
+  bool transparent = false;             // its material is
 };
 
 struct ImportedSurface {
@@ -39,8 +41,11 @@ struct ImportedSurface {
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 ImportedSurface import_surface(const std::filesystem::path& file, const ImportOptions&);
 
-// The same for a surface in memory: joins vertices, checks and places them; `name` stands for the file in messages. Triangles
-// may be degenerate or wild. Positions are checked here.
+// Only those triangles for which `keep` is 1, with their vertices. It has no names and no report.
+ImportedSurface keep_triangles(const ImportedSurface&, const std::vector<uint8_t>& keep);
+
+// The same as import_surface for a surface in memory: joins vertices, checks and places them; `name` stands for the file in
+// messages. Triangles may be degenerate or wild. Positions are checked here.
 ImportedSurface place_surface(const std::vector<Eigen::Vector3d>& positions, const std::vector<uint32_t>& colors,
                               const std::vector<Triangle>& triangles, const ImportOptions&, const std::string& name);
 

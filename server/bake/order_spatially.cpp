@@ -69,6 +69,7 @@ void order_spatially(Surface& surface) {
   const std::vector<uint32_t> order = morton_order(surface.vertex), place = inverse(order);
   surface.vertex = permuted(surface.vertex, order);
   if (!surface.color.empty()) surface.color = permuted(surface.color, order);
+  if (!surface.part.empty()) surface.part = permuted(surface.part, order);
   for (Triangle& triangle : surface.triangle)
     for (uint32_t& vertex : triangle) vertex = place[vertex];
 }

@@ -246,6 +246,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
       .inertia = {file.inertia()->x(), file.inertia()->y(), file.inertia()->z()},
   };
   check(car->model, car->regions.size(), name);
+  if (const char* why = read_parts(file, car->parts)) refuse(name, why);
   car->blocks = make_blocks(car->model);
   car->boundary = make_boundary(car->model);
   car->skin_node = skin_nodes(car->model);

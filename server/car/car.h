@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/parts.h"
 #include "sim/model.h"
 
 namespace crumple {
@@ -29,6 +30,7 @@ struct Car {
   std::string name;
   std::string attribution;
   std::vector<std::string> regions;
+  Parts parts;
   std::span<const double> source_to_car;  // 12: rows of a 3 x 4 matrix (schema/car.fbs); or empty
   std::string hash;                       // 16 hexadecimal digits: XXH64 of the bytes
   std::span<const std::byte> bytes;       // the whole file

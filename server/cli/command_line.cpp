@@ -134,6 +134,12 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
       ->check(is_file);
+  verb.add_option("--parts", options.parts,
+                  "file that says what glass, lights, wheels and interior are, in the form of schema/parts.fbs; default: the "
+                  "bake goes by names, materials and shape")
+      ->check(is_file);
+  verb.add_option("--write-parts", options.write_parts, "writes the parts to a file that --parts takes, to correct them")
+      ->type_name("FILE");
   verb.add_option("--mass", bake.mass, "kg; default: a baked car's own, else 1500")->check(CLI::Range(1.0, 100'000.0));
   const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
   verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")

@@ -31,6 +31,12 @@ void print_car(const Car& car) {
               size.z(), model.mass, 1e-3 * static_cast<double>(car.bytes.size()));
   for (const std::string& region : car.regions) std::printf(" %s", region.c_str());
   std::printf("\n");
+  if (car.parts.part.empty()) return;
+  std::printf("  parts");
+  for (size_t i = 1; i < car.parts.part.size(); ++i)
+    std::printf("%s %s (%s)", i > 1 ? "," : "", car.parts.part[i].name.c_str(),
+                schema::EnumNamePartKind(car.parts.part[i].kind));
+  std::printf("\n");
 }
 
 struct ChannelCount {

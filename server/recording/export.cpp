@@ -17,6 +17,7 @@
 #include "recording/gltf.h"
 #include "recording/recording.h"
 #include "schema/message_generated.h"
+#include "viewer/parts.h"
 #include "viewer/surface.h"
 #include "wire/decode.h"
 
@@ -27,6 +28,8 @@ struct Shown {  // one car, as long as it keeps its asset
   std::string name;
   std::shared_ptr<const Car> car;
   std::vector<std::array<uint32_t, 4>> at;  // per vertex: indices of its four nodes among the skin's nodes
+  std::vector<viewer::Point> rest;          // of the skin's nodes
+  std::vector<viewer::NodesAround> around;  // of each part
   float quantum = 0;
   std::vector<viewer::Quanta> shapes;  // shapes that differ from rest and from the previous one
   viewer::Quanta last;                 // the shape of the last key
@@ -135,6 +138,18 @@ std::vector<Vec3> displacement(const Shown& shown, const viewer::Quanta& quanta)
     }
     out[v] = shown.quantum * sum;
   }
+  const Parts& parts = shown.car->parts;
+  const std::vector<float> moved(quanta.begin(), quanta.end());
+  for (size_t k = 0; k < parts.part.size(); ++k) {
+    if (parts.part[k].kind != schema::PartKind::wheel) continue;
+    const viewer::Motion motion = viewer::motion_of(shown.around[k], shown.rest, moved, shown.quantum);
+    for (size_t v = 0; v < out.size(); ++v) {
+      if (parts.of_vertex[v] != k) continue;
+      const Vec3& rest = shown.car->model.vertex[v];
+      const viewer::Point by = motion.displacement({rest.x(), rest.y(), rest.z()});
+      out[v] = {by[0], by[1], by[2]};
+    }
+  }
   return out;
 }
 
@@ -155,6 +170,11 @@ Shown begin(const std::string& id, Actor& actor, double time, const Export& out)
       if (skin.weight[k] > 0)
         at[k] = static_cast<uint32_t>(std::lower_bound(nodes.begin(), nodes.end(), skin.node[k]) - nodes.begin());
   }
+  for (uint32_t i : nodes) {
+    const Vec3& node = shown.car->model.node[i];
+    shown.rest.push_back({node.x(), node.y(), node.z()});
+  }
+  for (const Part& part : shown.car->parts.part) shown.around.push_back(viewer::nodes_around(part, shown.rest));
   return shown;
 }
 

@@ -17,8 +17,10 @@
 #include "cpp/scene.h"
 #include "io/net.h"
 #include "protocol/surface_codec.h"
+#include "refusal.h"
 #include "schema/message_generated.h"
 #include "viewer/surface.h"
+#include "wheeled_car.h"
 #include "wire/encode.h"
 
 namespace crumple {
@@ -721,6 +723,166 @@ TEST(Client, MovesTheVerticesOfAGamesOwnMesh) {
   into = engine.into(other);
   ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK);
   EXPECT_EQ(into.count, engine.vertex.size());
+}
+
+// A car with wheels.
+Fed with_wheels() {
+  Fed fed;
+  fed.car = wheeled_box_car({6, 3, 2}).car;
+  fed.bytes.assign(fed.car->bytes.begin(), fed.car->bytes.end());
+  return fed;
+}
+
+TEST(Client, SaysWhatPartsACarHasAndWhereTheyAre) {
+  Fed fed = with_wheels();
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  CrumpleParts parts{};
+  ASSERT_EQ(crumple_parts(session, fed.car->hash.c_str(), &parts), CRUMPLE_OK) << crumple_error();
+  ASSERT_EQ(parts.count, 7u);
+  EXPECT_STREQ(parts.part[0].name, "body");
+  EXPECT_EQ(parts.part[1].kind, CRUMPLE_GLASS);
+  EXPECT_EQ(parts.part[2].kind, CRUMPLE_WHEEL);
+  EXPECT_EQ(parts.part[2].radius, wheel_radius);
+  EXPECT_EQ(parts.part[6].kind, CRUMPLE_POINT);
+  EXPECT_EQ(std::count(parts.vertex_part, parts.vertex_part + fed.mesh.vertex_count, 2), 50);
+  CrumplePose pose{};
+  EXPECT_EQ(crumple_part_pose(session, "a", 2, 0, &pose), CRUMPLE_UNKNOWN);
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3&) { return std::array{0, 0, 0}; })), CRUMPLE_OK);
+  for (uint32_t k = 0; k < parts.count; ++k) {
+    ASSERT_EQ(crumple_part_pose(session, "a", k, 0, &pose), CRUMPLE_OK) << crumple_error();
+    for (int axis = 0; axis < 3; ++axis) EXPECT_EQ(pose.position[axis], double(parts.part[k].position[axis]));
+    EXPECT_EQ(pose.orientation[3], 1);
+  }
+  EXPECT_EQ(crumple_part_pose(session, "a", 7, 0, &pose), CRUMPLE_BAD_ARGUMENT);
+  EXPECT_NE(std::strstr(crumple_error(), "7 parts"), nullptr) << crumple_error();
+
+  // The whole turns by 0.1 about z, within quanta of 0.5 mm.
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3& at) {
+    const float c = std::cos(0.1f) - 1, s = std::sin(0.1f);
+    return std::array{int(std::lround(2000 * (c * at.x() - s * at.y()))), int(std::lround(2000 * (s * at.x() + c * at.y()))),
+                      40};
+  })),
+            CRUMPLE_OK);
+  for (uint32_t k = 0; k < parts.count; ++k) {
+    ASSERT_EQ(crumple_part_pose(session, "a", k, 0, &pose), CRUMPLE_OK) << crumple_error();
+    const float* at = parts.part[k].position;
+    EXPECT_NEAR(pose.position[0], std::cos(0.1) * double(at[0]) - std::sin(0.1) * double(at[1]), 0.001);
+    EXPECT_NEAR(pose.position[1], std::sin(0.1) * double(at[0]) + std::cos(0.1) * double(at[1]), 0.001);
+    EXPECT_NEAR(pose.position[2], double(at[2]) + 0.02, 0.001);
+    EXPECT_NEAR(pose.orientation[2], std::sin(0.05f), 0.001f);
+  }
+  Fed plain;
+  ASSERT_NO_FATAL_FAILURE(plain.start());
+  ASSERT_EQ(crumple_parts(plain.session.get(), plain.car->hash.c_str(), &parts), CRUMPLE_OK);
+  EXPECT_EQ(parts.count, 0u);
+  EXPECT_EQ(parts.vertex_part, nullptr);
+}
+
+TEST(Client, AWheelStaysADiscInItsOwnMeshAndInTheGames) {
+  Fed fed = with_wheels();
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  Crumple* session = fed.session.get();
+  CrumpleParts parts{};
+  ASSERT_EQ(crumple_parts(session, fed.car->hash.c_str(), &parts), CRUMPLE_OK) << crumple_error();
+  EngineMesh engine(fed.mesh);
+  CrumpleOwnMesh own = engine.own();
+  uint32_t mapping = 0;
+  ASSERT_EQ(crumple_map(session, fed.car->hash.c_str(), &own, &mapping), CRUMPLE_OK) << crumple_error();
+  CrumpleVertices into = engine.into(mapping);
+  ASSERT_EQ(fed.feed(fed.quanta_of([](const Vec3&) { return std::array{0, 0, 0}; })), CRUMPLE_OK);
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK) << crumple_error();
+  const std::vector<EngineMesh::Vertex> rest = engine.vertex;
+  fed.copy();
+
+  std::mt19937 random(31);
+  std::uniform_int_distribution<int> by(-300, 300);  // quanta of 0.5 mm
+  ASSERT_EQ(fed.feed(fed.quanta_of([&](const Vec3& at) {
+    return std::array{int(std::lround(-400 * std::max(0.0f, at.x()))) + by(random), by(random), by(random)};
+  })),
+            CRUMPLE_OK);
+  const auto copied = fed.copy();
+  EXPECT_GT(copied.count, 0u);
+  const auto is_wheel = [&](uint32_t v) { return parts.part[parts.vertex_part[v]].kind == CRUMPLE_WHEEL; };
+  const auto now = [&](uint32_t v) { return EngineMesh::of(&copied.position[size_t{3} * v]); };
+  size_t pairs = 0;
+  for (uint32_t t = 0; t < fed.mesh.triangle_count; ++t) {
+    const uint32_t *corner = fed.mesh.triangle + 3 * t, a = corner[0], b = corner[1];
+    if (!is_wheel(a)) continue;
+    ++pairs;
+    const double before = (EngineMesh::of(fed.mesh.vertex + 3 * a) - EngineMesh::of(fed.mesh.vertex + 3 * b)).norm();
+    EXPECT_NEAR((now(a) - now(b)).norm(), before, 1e-5);
+  }
+  EXPECT_EQ(pairs, 4 * 96u);
+  for (uint32_t v = 0; v < fed.mesh.vertex_count; ++v) {
+    if (!is_wheel(v)) continue;
+    CrumplePose pose{};
+    ASSERT_EQ(crumple_part_pose(session, "a", parts.vertex_part[v], 0, &pose), CRUMPLE_OK);
+    const Eigen::Quaterniond turn(Eigen::Map<const Eigen::Vector4f>(pose.orientation).cast<double>());
+    const Eigen::Vector3d hub = EngineMesh::of(parts.part[parts.vertex_part[v]].position);
+    const Eigen::Vector3d wanted =
+        turn * (EngineMesh::of(fed.mesh.vertex + 3 * v) - hub) + Eigen::Map<const Eigen::Vector3d>(pose.position);
+    EXPECT_LT((now(v) - wanted).norm(), 1e-5);
+  }
+
+  ASSERT_EQ(crumple_copy(session, "a", &into), CRUMPLE_OK) << crumple_error();
+  for (size_t i = 0; i < rest.size(); ++i) {
+    if (!is_wheel(engine.baked[i])) continue;
+    const auto& vertex = engine.vertex[i];
+    EXPECT_LT((EngineMesh::of(vertex.position) - EngineMesh::from_car(now(engine.baked[i]))).norm(), 2e-3) << "cm";
+    // Normal and tangent turn as the wheel does.
+    CrumplePose pose{};
+    ASSERT_EQ(crumple_part_pose(session, "a", parts.vertex_part[engine.baked[i]], 0, &pose), CRUMPLE_OK);
+    const Eigen::Quaterniond turn(Eigen::Map<const Eigen::Vector4f>(pose.orientation).cast<double>());
+    const Eigen::Map<const EngineMesh::Matrix> m(EngineMesh::to_car);
+    const Eigen::Vector3d before = (m.leftCols<3>() * EngineMesh::of(rest[i].tangent)).normalized(),
+                          after = (m.leftCols<3>() * EngineMesh::of(vertex.tangent)).normalized();
+    EXPECT_LT((turn * before - after).norm(), 1e-4);
+  }
+}
+
+TEST(Client, RefusesACarWhosePartsAreWrong) {
+  Fed fed = with_wheels();
+  ASSERT_NO_FATAL_FAILURE(fed.start());
+  const auto refused = [&](auto change, const char* fact) {
+    schema::CarT car;
+    schema::GetCar(fed.bytes.data())->UnPackTo(&car);
+    change(car);
+    flatbuffers::FlatBufferBuilder builder;
+    schema::FinishCarBuffer(builder, schema::Car::Pack(builder, &car));
+    char hash[17];
+    EXPECT_EQ(crumple_add_asset(fed.session.get(), builder.GetBufferPointer(), builder.GetSize(), hash), CRUMPLE_BAD_ARGUMENT)
+        << fact;
+    EXPECT_NE(std::strstr(crumple_error(), fact), nullptr) << crumple_error();
+    const auto bytes = std::as_bytes(std::span(builder.GetBufferPointer(), builder.GetSize()));
+    EXPECT_NE(refusal([&] { (void)read_car(bytes, "wrong.car"); }).find(fact), std::string::npos) << fact;
+  };
+  constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+  refused([](auto& car) { car.vertex_part.pop_back(); }, "matching lengths");
+  refused([](auto& car) { car.part.clear(); }, "matching lengths");
+  refused([](auto& car) { car.vertex_part[0] = 7; }, "has no vertices");
+  refused([](auto& car) { car.vertex_part[0] = 6; }, "has no vertices");  // a point
+  refused([](auto& car) { car.vertex_part[0] = car.vertex_part[0] == 5 ? 4 : 5; }, "two parts");
+  refused([](auto& car) { car.part[0]->kind = schema::PartKind::glass; }, "not the body");
+  refused([](auto& car) { car.part[1]->kind = static_cast<schema::PartKind>(9); }, "no kind");
+  refused([](auto& car) { car.part[1]->name = "body"; }, "one name");
+  refused([](auto& car) { car.part[1]->name = ""; }, "printable");
+  refused([](auto& car) { car.part[1]->name = std::string(65, 'a'); }, "printable");
+  refused([](auto& car) { car.part[1]->name = "a\nb"; }, "printable");
+  refused([&](auto& car) { *car.part[1]->position = {nan, 0, 0}; }, "50 m");
+  refused([&](auto& car) { *car.part[1]->orientation = {nan, 0, 0, 1}; }, "quaternion");
+  refused([&](auto& car) { *car.part[1]->orientation = {0, 0, 0, 2}; }, "quaternion");
+  refused([](auto& car) { car.part[1]->radius = 1; }, "no wheel");
+  refused([](auto& car) { car.part[2]->radius = 0; }, "no wheel");
+  refused([&](auto& car) { car.part[2]->width = nan; }, "no wheel");
+  refused(
+      [](auto& car) {
+        while (car.part.size() < 256) {
+          car.part.push_back(std::make_unique<schema::PartT>(*car.part[1]));
+          car.part.back()->name = std::to_string(car.part.size());
+        }
+      },
+      "255");
 }
 
 TEST(Client, RefusesMeshesThatItCannotMap) {

@@ -8,6 +8,7 @@
 #include "host.h"
 #include "tick/health.h"
 #include "tick/levels.h"
+#include "wheeled_car.h"
 
 namespace crumple::fuzz {
 
@@ -31,7 +32,7 @@ bool car_run(Input input) {
 
 std::vector<std::vector<uint8_t>> car_seeds() {
   std::vector<std::vector<uint8_t>> seeds;
-  for (const auto& car : {coarse_car(), fine_car()}) {
+  for (const auto& car : {coarse_car(), fine_car(), wheeled_box_car({4, 2, 2}).car}) {
     const Input bytes = input_of(car->bytes);
     seeds.emplace_back(bytes.begin(), bytes.end());
   }

@@ -153,6 +153,19 @@ class Session {
     return mesh;
   }
 
+  // Waits until the asset has come. Empty: the car has only a body.
+  std::span<const CrumplePart> parts(const std::string& asset) {
+    mesh(asset);
+    CrumpleParts parts;
+    need(crumple_parts(*this, asset.c_str(), &parts));
+    return {parts.part, parts.count};
+  }
+  // Where a part is now, in the car's frame. Empty while the surface or its mesh is missing.
+  std::optional<CrumplePose> part_pose(const std::string& car, uint32_t part, double time = 0) {
+    CrumplePose pose;
+    return need(crumple_part_pose(*this, car.c_str(), part, time, &pose)) == CRUMPLE_OK ? std::optional(pose) : std::nullopt;
+  }
+
   // Simulates a bad line, to test a game on it; {} makes the line good again.
   void impair(const CrumpleImpairment& line) { need(crumple_impair(*this, &line)); }
 

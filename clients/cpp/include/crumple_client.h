@@ -237,6 +237,39 @@ int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
 // Takes a baked car that you have as a file, so that the server need not send it. hash: its name for crumple_spawn.
 int crumple_add_asset(Crumple*, const void* car, size_t size, char hash[17]);
 
+enum CrumplePartKind {
+  CRUMPLE_BODY,  // these four deform
+  CRUMPLE_PANEL,
+  CRUMPLE_GLASS,
+  CRUMPLE_LIGHT,
+  CRUMPLE_WHEEL,     // rigid
+  CRUMPLE_INTERIOR,  // moves with the body around it
+  CRUMPLE_POINT,     // a place without vertices, to which you attach something
+};
+
+// A part of a car, with a frame of its own: the place of the frame at rest, in the car's frame. A wheel has its hub there and
+// turns about y of the frame; other parts have the middle of their vertices there.
+typedef struct CrumplePart {
+  const char* name;
+  int kind;              // CrumplePartKind
+  float position[3];     // m
+  float orientation[4];  // unit quaternion
+  float radius, width;   // of a wheel, m
+} CrumplePart;
+
+typedef struct CrumpleParts {
+  uint32_t count;              // 0: the car has only a body
+  const CrumplePart* part;     // part 0 is the body
+  const uint8_t* vertex_part;  // for each vertex of crumple_mesh the index of its part
+} CrumpleParts;
+// Returns CRUMPLE_PENDING until the asset has come. The pointers stay valid as long as the session.
+int crumple_parts(Crumple*, const char* asset, CrumpleParts* out);
+
+// Where the frame of a part is now, in the car's frame: it moves rigidly, as the body around it moves on average. Multiply it
+// by the pose of the car to place a model of a wheel, a lamp or a camera in the world. time: as in CrumpleVertices. Returns
+// CRUMPLE_PENDING as crumple_copy does.
+int crumple_part_pose(Crumple*, const char* car, uint32_t part, double time, CrumplePose* out);
+
 // A mesh of the car that you draw yourself.
 typedef struct CrumpleOwnMesh {
   const float* position;  // 3 for each vertex
@@ -253,9 +286,9 @@ typedef struct CrumpleOwnMesh {
 } CrumpleOwnMesh;
 // Binds each vertex of your mesh to the surface of a baked car. With the mapping crumple_copy moves your vertices and turns
 // your normals and tangents: in your order, with your seams and hard edges. At rest it gives your numbers. Map every mesh and
-// every level of detail once; all get the same dents. Wheels and other parts that are not in the baked car: leave them out, and
-// place them yourself. mapping: a number, valid as long as the session; a session has at most 1024. Returns CRUMPLE_PENDING
-// until the asset has come.
+// every level of detail once; all get the same dents. The vertices of a wheel move rigidly with it. Wheels that the baked car
+// does not have as parts: leave them out, and place them yourself. mapping: a number, valid as long as the session; a session
+// has at most 1024. Returns CRUMPLE_PENDING until the asset has come.
 int crumple_map(Crumple*, const char* asset, CrumpleOwnMesh*, uint32_t* mapping);
 
 typedef struct CrumpleHealth {

@@ -2,6 +2,7 @@
 import { ByteBuffer } from "flatbuffers";
 import { Car } from "./crumple/schema/car.js";
 import { digits, hashOf } from "./decode.js";
+import { motionOf, moved, nodesAround, partKinds, type Motion, type NodesAround, type Part } from "./parts.js";
 
 export interface BakedCar {
   name: string;
@@ -24,6 +25,14 @@ export interface BakedCar {
   /** Four nodes for each vertex, numbered as in keyframes and deltas, and their weights. */
   node: Uint32Array;
   weight: Float32Array;
+  /** Part 0 is the body. Empty: there is only a body. */
+  parts: Part[];
+  /** The part of each vertex; empty if there are no parts. */
+  vertexPart: Uint8Array;
+  /** 3 numbers for each node of the skin, at rest, m; empty if there are no parts. */
+  nodeRest: Float32Array;
+  /** Of each part. */
+  around: NodesAround[];
 }
 
 /** asset: the hash of the car, 16 digits. Throws an Error with a sentence if the bytes are not this car. */
@@ -41,14 +50,37 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
   const skin = words(car.skin(0)!.bb_pos, 8 * vertices);
   if (car.skinLength() !== vertices || triangle.some((i) => i >= vertices))
     throw new Error(`asset ${asset}: skin or triangles do not fit its vertices`);
-  const center = car.centerOfMass();
+  const center = car.centerOfMass(), skinned = readSkin(new Uint32Array(skin), new Float32Array(skin), vertices, nodes);
+  const parts = readParts(car, triangle, asset), nodeRest = new Float32Array(parts.length ? 3 * skinned.used.length : 0);
+  if (parts.length) {
+    const rest = new Float32Array(words(car.node(0)!.bb_pos, 3 * nodes));
+    skinned.used.forEach((i, k) => nodeRest.set(rest.subarray(3 * i, 3 * i + 3), 3 * k));
+    if (!nodeRest.every(Number.isFinite)) throw new Error(`asset ${asset}: a node is not a finite number`);
+  }
   return {
     name: car.name() ?? "", attribution: car.attribution() ?? "", mass: car.mass(),
     centerOfMass: center ? [center.x(), center.y(), center.z()] : [0, 0, 0],
     regions: Array.from({ length: car.regionLength() }, (_, i) => car.region(i)),
     sourceToCar: car.sourceToCarLength() === 12 ? Float64Array.from({ length: 12 }, (_, i) => car.sourceToCar(i)!) : null,
-    vertex, triangle, ...readSkin(new Uint32Array(skin), new Float32Array(skin), vertices, nodes),
+    vertex, triangle, nodes: skinned.used.length, node: skinned.node, weight: skinned.weight, parts, nodeRest,
+    vertexPart: parts.length ? car.vertexPartArray()!.slice() : new Uint8Array(), around: parts.map((part) => nodesAround(part, nodeRest)),
   };
+}
+
+// The server and the gateway have checked names and sizes already; this checks what would break the page.
+function readParts(car: Car, triangle: Uint32Array, asset: string): Part[] {
+  const count = car.partLength(), of = car.vertexPartArray();
+  if (!count) return [];
+  const parts = Array.from({ length: count }, (_, i) => {
+    const part = car.part(i)!, p = part.position()!, q = part.orientation()!;
+    const position = [p.x(), p.y(), p.z()], orientation = [q.x(), q.y(), q.z(), q.w()], sizes = [part.radius(), part.width()];
+    if (part.kind() >= partKinds.length || ![...position, ...orientation, ...sizes].every(Number.isFinite))
+      throw new Error(`asset ${asset}: part ${i} has no kind or no frame`);
+    return { name: part.name() ?? "", kind: partKinds[part.kind()], position, orientation, radius: sizes[0], width: sizes[1] };
+  });
+  const fits = of?.length === car.vertexLength() && of.every((part) => part < count) && triangle.every((v, i) => of[v] === of[triangle[i - (i % 3)]]);
+  if (!fits) throw new Error(`asset ${asset}: its parts do not fit its vertices`);
+  return parts;
 }
 
 // Numbers the nodes that have a weight above 0 in ascending order, as keyframes and deltas do. `skin` has four nodes and four weights
@@ -63,8 +95,8 @@ function readSkin(skinNode: Uint32Array, skinWeight: Float32Array, vertices: num
       if (at >= nodes) throw new Error("the skin of the asset names nodes that it does not have");
       if (share > 0) number[at] = 0;
     }
-  let used = 0;
-  for (let i = 0; i < nodes; ++i) if (number[i] === 0) number[i] = used++;
+  const used: number[] = [];
+  for (let i = 0; i < nodes; ++i) if (number[i] === 0) number[i] = used.push(i) - 1;
   for (let v = 0; v < vertices; ++v)
     for (let k = 0; k < 4; ++k) {
       const { at, share } = corner(v, k);
@@ -72,7 +104,7 @@ function readSkin(skinNode: Uint32Array, skinWeight: Float32Array, vertices: num
       node[4 * v + k] = number[at];
       weight[4 * v + k] = share;
     }
-  return { nodes: used, node, weight };
+  return { used, node, weight };
 }
 
 /** Writes the positions of the vertices into `out`: 3 numbers each, m, car's frame. Returns false if the surface is not of this car. */
@@ -92,7 +124,16 @@ export function skin(car: BakedCar, surface: { quanta: Int16Array; quantum: numb
     out[v + 1] = vertex[v + 1] + quantum * y;
     out[v + 2] = vertex[v + 2] + quantum * z;
   }
+  const motion = wheelMotions(car, surface);
+  car.vertexPart.forEach((part, v) => {
+    if (motion[part]) out.set(moved(motion[part], vertex.subarray(3 * v, 3 * v + 3)), 3 * v);
+  });
   return true;
+}
+
+/** The motions of wheels, by part; of other parts null. */
+export function wheelMotions(car: BakedCar, surface: { quanta: Int16Array; quantum: number }): (Motion | null)[] {
+  return car.parts.map(({ kind }, i) => (kind === "wheel" ? motionOf(car.around[i], car.nodeRest, surface) : null));
 }
 
 /** A triangle that is thinner than this share of its longest edge counts as unstrained: rounding of its vertices would be its strain. */

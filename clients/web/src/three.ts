@@ -9,7 +9,22 @@ import { Shape, type Obstacle } from "./decode.js";
 /** Edges that are sharper than this at rest stay sharp: doors, windows, wheel arches. */
 const crease = Math.cos((32 * Math.PI) / 180);
 
-export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
+// What parts look like that are not painted; the order is that of the materials after the paint.
+const looks = {
+  glass: new THREE.MeshStandardMaterial({ color: "#1c2a33", roughness: 0.05, metalness: 0.3, transparent: true, opacity: 0.45, side: THREE.DoubleSide, depthWrite: false }),
+  light: new THREE.MeshStandardMaterial({ color: "#f4ecd2", roughness: 0.15, metalness: 0.1, side: THREE.DoubleSide }),
+  wheel: new THREE.MeshStandardMaterial({ color: "#1b1b1e", roughness: 0.85, side: THREE.DoubleSide }),
+  interior: new THREE.MeshStandardMaterial({ color: "#3b3634", roughness: 0.9, side: THREE.DoubleSide }),
+};
+const lookNames = Object.keys(looks);
+
+/** Materials for a CarMesh: this one for body and panels, and others for glass, lights, wheels and interior. */
+export function partMaterials(paint: THREE.Material): THREE.Material[] {
+  return [paint, ...Object.values(looks)];
+}
+
+/** material: one for the whole car, or what partMaterials gives. */
+export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material | THREE.Material[]> {
   /** Positions of the vertices as the skin has them, and how far each has moved, m. */
   readonly skinned: Float32Array;
   readonly moved: Float32Array;
@@ -22,9 +37,10 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material> {
   #strain: Float32Array | null = null;
   #radius: number; // of the bounding sphere at rest, m
 
-  constructor(readonly baked: BakedCar, material: THREE.Material) {
+  constructor(readonly baked: BakedCar, material: THREE.Material | THREE.Material[]) {
     const { triangle, vertexOf } = splitAtCreases(baked);
     const geometry = new THREE.BufferGeometry();
+    groupByLook(baked, triangle, geometry);
     const attribute = () => new THREE.BufferAttribute(new Float32Array(3 * vertexOf.length), 3).setUsage(THREE.DynamicDrawUsage);
     geometry.setAttribute("position", attribute());
     geometry.setAttribute("normal", attribute());
@@ -164,6 +180,22 @@ export class OwnModel extends THREE.Group {
       at.needsUpdate = true;
       if (normal) to.needsUpdate = true;
     }
+  }
+}
+
+// Sorts triangles by their look, and makes a group of each look.
+function groupByLook(car: BakedCar, triangle: Uint32Array, geometry: THREE.BufferGeometry): void {
+  const lookOf = car.parts.map(({ kind }) => lookNames.indexOf(kind) + 1), all = triangle.slice();
+  const look = Uint8Array.from({ length: triangle.length / 3 }, (_, t) => lookOf[car.vertexPart[car.triangle[3 * t]]] ?? 0);
+  let at = 0;
+  for (let each = 0; each <= lookNames.length; ++each) {
+    const first = at;
+    look.forEach((own, t) => {
+      if (own !== each) return;
+      triangle.set(all.subarray(3 * t, 3 * t + 3), at);
+      at += 3;
+    });
+    if (at > first) geometry.addGroup(first, at - first, each);
   }
 }
 

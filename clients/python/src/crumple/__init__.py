@@ -7,10 +7,10 @@ from crumple.recording import Frame, Life, Recording
 from crumple.scene import Hit, Scene
 from crumple.session import Session, View
 from crumple.types import (
-    CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Pose, Reaction, Shape, Solver, Statistics, Surface, Vertices,
+    CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Part, PartKind, Pose, Reaction, Shape, Solver, Statistics, Surface, Vertices,
 )
 
 __all__ = [
-    "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "Parameters", "Pose", "Reaction", "Recording",
+    "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "Parameters", "Part", "PartKind", "Pose", "Reaction", "Recording",
     "OwnMesh", "Refused", "Scene", "Session", "Shape", "Solver", "Statistics", "Surface", "Vertices", "View", "columns",
 ]

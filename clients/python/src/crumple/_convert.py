@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crumple._library import ffi, lib, text
-from crumple.types import CarPose, Obstacle, Parameters, Pose, Reaction, Vector
+from crumple.types import CarPose, Obstacle, Parameters, Part, PartKind, Pose, Reaction, Vector
+
+
+def part_of(part: Any) -> Part:
+    pose = Pose(tuple(part.position), tuple(part.orientation))
+    return Part(text(part.name), PartKind(part.kind), pose, part.radius, part.width)
 
 
 def numbers(values: Vector, count: int, name: str) -> list[float]:

@@ -1,7 +1,7 @@
 """`crumple render CAR` draws a baked car as one picture. It shows what is solid, what is hollow, what is held, and where the front
 is. It writes CAR.png into the folder:
   cuts           lengthwise through the middle, and across at the front axle and in the middle: tets, and the surface's outline
-  surface        from the side, from above and from the front
+  surface        from the side, from above and from the front; colours show its parts
   tets           their boundary under the translucent surface, which is red where it lies far outside the tets
   regions        by colour, and the anchored nodes
 """
@@ -21,6 +21,8 @@ from crumple._library import Error, ffi
 from crumple.schema.Car import Car
 from crumple.session import View
 from crumple.trace import Array, Mesh, Scene, _corner_normals, _dot, _unit, framed
+from crumple.types import Mesh as CarMesh
+from crumple.types import Part, PartKind
 
 matplotlib.use("Agg")
 import matplotlib.colors  # noqa: E402
@@ -38,6 +40,10 @@ SURFACE, OUTSIDE = (0.62, 0.66, 0.70), (0.83, 0.0, 0.22)
 # Okabe and Ito's colours, then others that differ from them: one for each of 16 regions.
 REGIONS = ["#9AA5AE", "#56B4E9", "#009E73", "#F0E442", "#CC79A7", "#0072B2", "#7A5C00", "#8DD3A0", "#B39DDB", "#5D4037", "#00ACC1",
            "#C0CA33", "#FF8A80", "#37474F", "#FFCC80", "#827717"]
+# Of parts that are not body or panel.
+PARTS = {PartKind.glass: "#7FC4E8", PartKind.light: "#F0C419", PartKind.wheel: "#2B2B30", PartKind.interior: "#8A6D5A", PartKind.point: "#B0158C"}
+TINT = 0.5  # opacity of glass
+MOST_LABELS = 24
 AXES = ("x, m (forward)", "y, m (left)", "z, m (up)")
 PIXELS = 800  # along the car, in pictures of its surface
 MOST_DOTS = 20_000
@@ -58,9 +64,11 @@ class Baked:
     tet: Array  # t x 4
     vertex: Array  # v x 3, m
     triangle: Array  # f x 3
-    distance: Array  # v, m, from the vertex to its tet
+    distance: Array  # v, m, from the vertex to its tet; 0 of wheels
     regions: list[str]
     mass: float  # kg
+    parts: tuple[Part, ...]
+    kind: Array  # f, the PartKind of each triangle
 
     @property
     def size(self) -> Array:
@@ -85,7 +93,7 @@ def read_baked(path: str | os.PathLike[str]) -> Baked:
     try:
         scene = ffi.new("char[]", b"car")
         with View(scene=scene) as view:
-            view.add_asset(data)  # checks every size and index
+            mesh = view.mesh(view.add_asset(data))  # checks every size and index
     except Error as refused:
         raise Error(f"{os.fspath(path)}: {refused}") from None
     car = Car.GetRootAs(data)
@@ -93,6 +101,9 @@ def read_baked(path: str | os.PathLike[str]) -> Baked:
     def rows(first: Any, count: int, kind: str, width: int) -> Array:
         return np.frombuffer(data, kind, count * width, first._tab.Pos).reshape(count, width)
 
+    kind = kinds_of(mesh)
+    wheel = np.zeros(car.VertexLength(), bool)
+    wheel[mesh.triangle[kind == PartKind.wheel]] = True
     node = rows(car.Node(0), car.NodeLength(), "<f4", 3)
     vertex = rows(car.Vertex(0), car.VertexLength(), "<f4", 3)
     skin = rows(car.Skin(0), car.SkinLength(), "<u4", 8)[:, :4]
@@ -102,7 +113,15 @@ def read_baked(path: str | os.PathLike[str]) -> Baked:
     return Baked(
         shown(os.fsencode(pathlib.Path(path).name)), shown(car.Name()), shown(car.Attribution()), node, car.NodeRegionAsNumpy(), car.NodeAnchoredAsNumpy() == 1,
         rows(car.Tet(0), car.TetLength(), "<u4", 4), vertex, car.TriangleAsNumpy().reshape(-1, 3),
-        distance_to_tets(vertex, node[skin]), [shown(car.Region(i)) for i in range(car.RegionLength())], car.Mass())
+        np.where(wheel, 0.0, distance_to_tets(vertex, node[skin])), [shown(car.Region(i)) for i in range(car.RegionLength())], car.Mass(),
+        mesh.parts, kind)
+
+
+def kinds_of(mesh: CarMesh) -> Array:
+    """Gives the kind of the part of each triangle."""
+    if mesh.vertex_part is None:
+        return np.zeros(len(mesh.triangle), np.uint8)
+    return np.array([part.kind for part in mesh.parts], np.uint8)[mesh.vertex_part[mesh.triangle[:, 0]]]
 
 
 def shown(text: bytes) -> str:
@@ -275,9 +294,10 @@ def flat_axes(axis: int) -> tuple[int, int]:
     return ((1, 2), (0, 2), (0, 1))[axis]
 
 
-def look_along(car: Baked, mesh: tuple[Array, Array], color: Array, axis: int, far: Array | None = None) -> Array:
-    """Draws triangles as they are seen from far away: from the front (0), from the car's right (1) or from above (2). Gives an
-    image with alpha."""
+def look_along(car: Baked, mesh: tuple[Array, Array], color: Array, axis: int, far: Array | None = None,
+               glass: Array | None = None) -> Array:
+    """Draws triangles as they are seen from far away: from the front (0), from the car's right (1) or from above (2). glass:
+    whether a triangle is translucent. Gives an image with alpha."""
     right, up = flat_axes(axis)
     sign = -1 if axis == 1 else 1
     low, high = car.vertex.min(0), car.vertex.max(0)
@@ -289,7 +309,15 @@ def look_along(car: Baked, mesh: tuple[Array, Array], color: Array, axis: int, f
     origin[..., axis] = (high if sign > 0 else low)[axis] + sign
     toward = np.zeros(3, np.float32)
     toward[axis] = -sign
-    image, _, _ = shade(Scene([Mesh(*mesh, (0, 0, 0))]), origin.reshape(-1, 3), toward, color, far)
+    vertex, triangle = mesh
+    solid = np.ones(len(triangle), bool) if glass is None or glass.all() else ~glass
+    image, depth, _ = shade(Scene([Mesh(vertex, triangle[solid], (0, 0, 0))]), origin.reshape(-1, 3), toward, color[solid], far)
+    if not solid.all():
+        panes, near, red = shade(Scene([Mesh(vertex, triangle[~solid], (0, 0, 0))]), origin.reshape(-1, 3), toward, color[~solid], far)
+        share = np.where(near < depth, np.where(red, 1, TINT), 0)[:, None] * panes[:, 3:]
+        alpha = share + image[:, 3:] * (1 - share)
+        image[:, :3] = (panes[:, :3] * share + image[:, :3] * image[:, 3:] * (1 - share)) / np.maximum(alpha, 1e-6)
+        image[:, 3:] = alpha
     return halved(image, 2 * w, 2 * h)
 
 
@@ -419,8 +447,16 @@ def draw_cut(axes: Axes, car: Baked, cut: Cut) -> None:
 
 def draw_surface(axes: Axes, car: Baked, axis: int) -> None:
     set_up(axes, car, axis)
-    color = np.tile(SURFACE, (len(car.triangle), 1))
-    put_image(axes, car, look_along(car, (car.vertex, car.triangle), color, axis, car.distance), axis)
+    palette = np.array([to_rgb(PARTS[kind]) if kind in PARTS else SURFACE for kind in PartKind])
+    glass = car.kind == PartKind.glass
+    put_image(axes, car, look_along(car, (car.vertex, car.triangle), palette[car.kind], axis, car.distance, glass), axis)
+    right, up = flat_axes(axis)
+    placed = [part for part in car.parts if part.kind in (PartKind.wheel, PartKind.point)][:MOST_LABELS]
+    for part in placed:
+        at = part.pose.position[right], part.pose.position[up]
+        axes.plot(*at, "+", color="white" if part.kind == PartKind.wheel else PARTS[part.kind], markersize=8, zorder=6)
+        if part.kind == PartKind.point:
+            axes.annotate(part.name[:40], at, (5, 4), textcoords="offset points", fontsize=7, zorder=6, parse_math=False)
 
 
 def put_image(axes: Axes, car: Baked, image: Array, axis: int, alpha: float = 1.0) -> None:
@@ -446,6 +482,13 @@ def draw_regions(axes: Axes, car: Baked, axis: int) -> None:
                      linewidths=line, edgecolors=HELD)
 
 
+def part_legend(car: Baked) -> list[Any]:
+    kinds = [part.kind for part in car.parts]
+    names = {PartKind.glass: "glass", PartKind.light: "lights", PartKind.interior: "interior",
+             PartKind.wheel: f"wheels: {kinds.count(PartKind.wheel)}", PartKind.point: f"points: {kinds.count(PartKind.point)}"}
+    return [Patch(color=PARTS[kind], label=name) for kind, name in names.items() if kind in kinds]
+
+
 def region_legend(car: Baked) -> list[Any]:
     count = np.bincount(car.region, minlength=len(car.regions))
     handles: list[Any] = [Patch(color=REGIONS[i % len(REGIONS)], label=f"{name[:40]}: {count[i]:,} nodes")
@@ -469,7 +512,8 @@ def captions(car: Baked) -> list[str]:
 
 def draw_sheet(car: Baked) -> tuple[Figure, dict[str, Axes]]:
     """Gives the figure, and its panels by name."""
-    surface = Scene([Mesh(car.vertex, car.triangle, (0, 0, 0)), Mesh(car.node, boundary(car.tet)[0], (0, 0, 0))])
+    body = car.triangle[car.kind != PartKind.wheel] if (car.kind != PartKind.wheel).any() else car.triangle
+    surface = Scene([Mesh(car.vertex, body, (0, 0, 0)), Mesh(car.node, boundary(car.tet)[0], (0, 0, 0))])
     low = car.vertex.min(0)
     middle = float(low[0] + car.size[0] / 2)
     cuts = {"lengthwise": make_cut(car, surface, 1, float(low[1] + car.size[1] / 2)),
@@ -529,6 +573,9 @@ def draw_sheet(car: Baked) -> tuple[Figure, dict[str, Axes]]:
                Patch(color=OUTSIDE, label=f"surface farther than {1000 * FAR:.0f} mm outside the tets")]
     figure.legend(handles=colors, loc="center left", bbox_to_anchor=(0.3 / wide, 1 - 0.85 / tall), ncols=len(colors), fontsize=10,
                   frameon=False, borderpad=0)
+    if parts := part_legend(car):
+        figure.legend(handles=parts, loc="center right", bbox_to_anchor=(1 - 0.3 / wide, 1 - 0.42 / tall), ncols=len(parts), fontsize=10,
+                      frameon=False, borderpad=0, title="parts", title_fontsize=10)
     legend = panels["regions side"].legend(handles=handles, loc="upper left", borderaxespad=0, fontsize=8, frameon=False, ncols=columns,
                                            bbox_to_anchor=(0, -0.42 / float(spans[2][1][1])))
     for text in legend.get_texts():

@@ -77,6 +77,9 @@ class Frame(View):
     def vertices(self, car: str, out: Vertices | None = None, time: float = 0.0, own: OwnMesh | None = None) -> Vertices | None:
         return super().vertices(car, out, time, own) if self._seek(car) else None
 
+    def part_poses(self, car: str, time: float = 0.0) -> list[Pose] | None:
+        return super().part_poses(car, time) if self._seek(car) else None
+
     def _mesh(self, asset: str) -> Mesh | None:
         if asset not in self._meshes and asset in self._recording.assets:
             self.add_asset(self._recording.assets[asset])

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import copy
+import dataclasses
 import itertools
 import multiprocessing
 import os
@@ -28,11 +29,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from crumple._library import Error
-from crumple.car_sheet import is_baked_car, render_car
+from crumple.car_sheet import is_baked_car, kinds_of, render_car
 from crumple.recording import Recording, _obstacle_of
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
 from crumple.trace import Array, Camera, Mesh, Scene, framed
-from crumple.types import Obstacle, Pose, Shape
+from crumple.types import Obstacle, PartKind, Pose, Shape
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
@@ -40,6 +41,9 @@ import matplotlib.pyplot as plt  # noqa: E402
 # Okabe and Ito's colours, which nearly everybody can tell apart: PAINT in the light, INK on white.
 PAINT = [(0.74, 0.24, 0.05), (0.06, 0.36, 0.62), (0.05, 0.50, 0.38), (0.80, 0.50, 0.10)]
 INK = ["#D55E00", "#0072B2", "#009E73", "#B07700"]
+# Colour and gloss of parts that are not painted.
+LOOKS = {PartKind.glass: ((0.05, 0.07, 0.08), 1.0), PartKind.light: ((0.90, 0.86, 0.72), 1.0), PartKind.wheel: ((0.045, 0.045, 0.05), 0.2),
+         PartKind.interior: ((0.13, 0.12, 0.12), 0.1)}
 CONCRETE, STEEL = (0.62, 0.61, 0.58), (0.86, 0.72, 0.16)
 BEFORE, AFTER = 0.25, 0.6  # s that a clip shows before and after its dents
 GAP = 1.2  # s without a dent, after which another clip begins
@@ -74,6 +78,7 @@ class Film:
     clip: Clip
     moments: list[Moment]
     triangle: dict[str, Array] = field(default_factory=dict)
+    kind: dict[str, Array] = field(default_factory=dict)  # of each triangle: its PartKind
     credits: list[str] = field(default_factory=list)
 
 
@@ -149,7 +154,7 @@ def read_film(recording: Recording, clip: Clip, step: float) -> Film:
             moment.vertex[car] = (seen.position @ matrix(stands.orientation).T + stands.position).astype(np.float32)
             moment.dent[car] = np.linalg.norm(seen.displacement, axis=1)
             mesh = frame.mesh(surface.asset)
-            film.triangle[car] = mesh.triangle
+            film.triangle[car], film.kind[car] = mesh.triangle, kinds_of(mesh)
             if mesh.attribution not in film.credits:
                 film.credits.append(mesh.attribution)
         latest = {key: (tick, told) for tick, key, told in lists if tick <= frame.tick}
@@ -157,6 +162,13 @@ def read_film(recording: Recording, clip: Clip, step: float) -> Film:
         if moment.vertex:
             film.moments.append(moment)
     return film
+
+
+def car_meshes(vertex: Array, triangle: Array, kind: Array, paint: tuple[float, float, float]) -> list[Mesh]:
+    """Gives a mesh of each look that the car has."""
+    looks = {each: LOOKS.get(PartKind(each), (paint, 1.0)) for each in np.unique(kind).tolist()}
+    return [Mesh(vertex, triangle[np.isin(kind, [each for each in looks if looks[each] == look])], *look, glass=look is LOOKS[PartKind.glass])
+            for look in dict.fromkeys(looks.values())]
 
 
 def moved(obstacle: Obstacle, seconds: float) -> Obstacle:
@@ -245,15 +257,17 @@ class Stage:
         self.high = points.max(0) + [0.25, 0.25, 0.45]
         self.camera = self._best_camera([deepest, moments[-1]], points, width, height)
 
-    def scene(self, moment: Moment) -> Scene:
-        cars = [Mesh(vertex, self.film.triangle[car], self.paint[car], gloss=1.0) for car, vertex in moment.vertex.items()]
+    def scene(self, moment: Moment, clear: bool = True) -> Scene:
+        """clear: one can see through glass."""
+        cars = [mesh for car, vertex in moment.vertex.items()
+                for mesh in car_meshes(vertex, self.film.triangle[car], self.film.kind[car], self.paint[car])]
         found = [mesh for each in moment.obstacles if (mesh := obstacle_mesh(each, self.low, self.high))]
-        return Scene(cars + found, self.ground)
+        return Scene([mesh if clear else dataclasses.replace(mesh, glass=False) for mesh in cars + found], self.ground)
 
     def bare(self) -> Stage:
         """Gives a stage without moments: another process needs no more."""
         stage = copy.copy(self)
-        stage.film = Film(self.film.clip, [], self.film.triangle)
+        stage.film = Film(self.film.clip, [], self.film.triangle, self.film.kind)
         return stage
 
     def _best_camera(self, moments: list[Moment], points: Array, width: int, height: int) -> Camera:
@@ -263,7 +277,7 @@ class Stage:
         for moment in moments:
             vertex = np.concatenate(list(moment.vertex.values()))
             dent = np.concatenate([self.film.moments[-1].dent.get(car, dent) for car, dent in moment.dent.items()])
-            judged.append((self.scene(moment), vertex[::3], dent[::3] ** 2 + 0.02 * max(float(dent.max()), 1e-3) ** 2))
+            judged.append((self.scene(moment, clear=False), vertex[::3], dent[::3] ** 2 + 0.02 * max(float(dent.max()), 1e-3) ** 2))
         best, found = -1.0, None
         for turn in np.arange(24) * np.pi / 12 + 0.2:
             for rise, sun in itertools.product((0.15, 0.28, 0.5), (-0.6, 0.6)):

@@ -119,15 +119,34 @@ class View:
         check(lib.crumple_copy(self._handle, car.encode(), to))
         return Vertices(out.position, out.displacement, out.normal, slice(to.first, to.first + to.count), out.tangent)
 
+    def part_poses(self, car: str, time: float = 0.0) -> list[Pose] | None:
+        """Gives where the frame of each part in Mesh.parts is now, in the car's frame. time, None: as in vertices()."""
+        surface = ffi.new("CrumpleSurface*")
+        if check(lib.crumple_surface(self._handle, car.encode(), surface)) == lib.CRUMPLE_PENDING:
+            return None
+        mesh = self._mesh(text(surface.asset))
+        if mesh is None:
+            return None
+        out = ffi.new("CrumplePose*")
+        poses = []
+        for i in range(len(mesh.parts)):
+            check(lib.crumple_part_pose(self._handle, car.encode(), i, time, out))
+            poses.append(Pose(tuple(out.position), tuple(out.orientation)))
+        return poses
+
     def _mesh(self, asset: str) -> Mesh | None:
         if asset in self._meshes:
             return self._meshes[asset]
         out = ffi.new("CrumpleMesh*")
         if check(lib.crumple_mesh(self._handle, asset.encode(), out)) == lib.CRUMPLE_PENDING:
             return None
+        found = ffi.new("CrumpleParts*")
+        check(lib.crumple_parts(self._handle, asset.encode(), found))
+        parts = tuple(_convert.part_of(found.part[i]) for i in range(found.count))
+        vertex_part = np.frombuffer(ffi.buffer(found.vertex_part, out.vertex_count), np.uint8).copy() if parts else None
         self._meshes[asset] = Mesh(
             _array(out.vertex, out.vertex_count, np.float32), _array(out.triangle, out.triangle_count, np.uint32),
-            out.mass, tuple(out.center_of_mass), text(out.name), text(out.attribution),
+            out.mass, tuple(out.center_of_mass), text(out.name), text(out.attribution), parts, vertex_part,
         )
         return self._meshes[asset]
 

@@ -1,5 +1,6 @@
 """Draws triangles by rays: Embree finds what each ray meets. Surfaces are two-sided paint, which reflects a simple sky. Light
-comes from one sun, which stands behind the camera, and from the whole sky, each as far as nothing is in its way."""
+comes from one sun, which stands behind the camera, and from the whole sky, each as far as nothing is in its way. Glass tints
+what is behind it, mirrors, and gives no shade."""
 
 from __future__ import annotations
 
@@ -21,6 +22,7 @@ GRID = 0.05  # m between the points at which the light on the ground is computed
 AROUND = 2.0  # m around everything: farther out nothing shades the ground
 NEAR = 2e-3  # m from its surface at which a ray begins
 VIEW = 20.0  # degrees from bottom to top
+TINT = 0.45  # share of the light from behind that glass takes
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Mesh:
     triangle: Array  # m x 3
     color: tuple[float, float, float]
     gloss: float = 0.0
+    glass: bool = False
 
 
 class Camera:
@@ -116,6 +119,7 @@ class Scene:
     """Meshes on level ground."""
 
     def __init__(self, meshes: list[Mesh], ground: float = 0.0) -> None:
+        meshes = sorted(meshes, key=lambda mesh: mesh.glass)
         offset = np.cumsum([0] + [len(mesh.vertex) for mesh in meshes])
         self.vertex = np.concatenate([mesh.vertex for mesh in meshes]).astype(np.float32)
         self.triangle = np.concatenate([mesh.triangle + o for mesh, o in zip(meshes, offset)]).astype(np.int32)
@@ -124,7 +128,13 @@ class Scene:
         self.gloss = np.array([mesh.gloss for mesh in meshes], np.float32)
         self.ground = ground
         self._embree = EmbreeScene()
-        TriangleMesh(self._embree, self.vertex, self.triangle)
+        solid = sum(len(mesh.triangle) for mesh in meshes if not mesh.glass)
+        self._first_pane = solid or len(self.triangle)
+        TriangleMesh(self._embree, self.vertex, self.triangle[: self._first_pane])
+        self._panes = None
+        if self._first_pane < len(self.triangle):
+            self._panes = EmbreeScene()
+            TriangleMesh(self._panes, self.vertex, self.triangle[self._first_pane :])
 
     def hits(self, origin: Array, direction: Array) -> dict[str, Array]:
         origin = np.ascontiguousarray(np.broadcast_to(origin, direction.shape), np.float32)
@@ -174,9 +184,29 @@ class Scene:
         image = self._ground(camera, ray)
         seen = np.full((len(ray), 4), -1, np.float32)
         hit = np.flatnonzero(which >= 0)
-        if not len(hit):
-            return image, seen
-        which, ray = which[hit], ray[hit]
+        if len(hit):
+            self._look_at_solids(camera, ray, found, hit, image, seen)
+        if self._panes:
+            self._look_through(camera, ray, np.where(which >= 0, found["tfar"], np.inf), image, seen)
+        return image, seen
+
+    def _look_through(self, camera: Camera, ray: Array, far: Array, image: Array, seen: Array) -> None:
+        """Tints and mirrors where glass is nearer than `far`."""
+        origin = np.ascontiguousarray(np.broadcast_to(camera.eye, ray.shape), np.float32)
+        found: dict[str, Array] = self._panes.run(origin, np.ascontiguousarray(ray, np.float32), output=True)
+        hit = np.flatnonzero((found["primID"] >= 0) & (found["tfar"] < far))
+        which, ray = self._first_pane + found["primID"][hit], ray[hit]
+        normal = _unit(found["Ng"][hit])
+        normal *= -np.sign(_dot(normal, ray))
+        facing = np.clip(-_dot(normal, ray), 0, 1)
+        fresnel = 0.05 + 0.75 * (1 - facing) ** 5
+        owner = self.owner[which]
+        tinted = image[hit] * (1 - TINT) + TINT * self.color[owner]
+        image[hit] = tinted * (1 - fresnel) + fresnel * _sky(ray + 2 * facing * normal)
+        seen[hit, :3], seen[hit, 3] = normal, owner
+
+    def _look_at_solids(self, camera: Camera, ray: Array, found: dict[str, Array], hit: Array, image: Array, seen: Array) -> None:
+        which, ray = found["primID"][hit], ray[hit]
         u, v = found["u"][hit, None], found["v"][hit, None]
         weight = np.concatenate([1 - u - v, u, v], 1)
         flat = _unit(found["Ng"][hit])
@@ -199,7 +229,6 @@ class Scene:
         body = color * (0.60 * key + 0.56 * fill)
         image[hit] = body * (1 - fresnel) + fresnel * _sky(mirror) * np.clip(0.2 + 0.8 * fill, 0, 1) + 0.35 * gloss * shine
         seen[hit, :3], seen[hit, 3] = flat, owner
-        return image, seen
 
     def _light_corners(self, wanted: Array, camera: Camera) -> None:
         """Computes the light of the sky at the corners of the triangles that the camera sees, on the side that it sees. Between

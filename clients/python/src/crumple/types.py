@@ -136,6 +136,28 @@ class OwnMesh:
     farthest: float  # m, from a vertex to the surface of the baked car
 
 
+class PartKind(enum.IntEnum):
+    body = 0  # these four deform
+    panel = 1
+    glass = 2
+    light = 3
+    wheel = 4  # rigid
+    interior = 5  # moves with the body around it
+    point = 6  # a place without vertices
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a car. pose: the frame of the part at rest, in the car's frame. A wheel has its hub there and turns about y of the
+    frame; other parts have the middle of their vertices there."""
+
+    name: str
+    kind: PartKind
+    pose: Pose
+    radius: float  # of a wheel, m
+    width: float
+
+
 @dataclass(frozen=True)
 class Mesh:
     """The undamaged car."""
@@ -146,6 +168,8 @@ class Mesh:
     center_of_mass: tuple[float, ...]  # m
     name: str
     attribution: str  # must be shown where the car is shown
+    parts: tuple[Part, ...] = ()  # part 0 is the body; empty: there is only a body
+    vertex_part: NDArray[np.uint8] | None = None  # the part of each vertex
 
 
 @dataclass(frozen=True)

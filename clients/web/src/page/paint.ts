@@ -109,9 +109,10 @@ export class Paint {
     this.#drop();
     this.#hidden = wanted;
     if (!wanted) return;
-    this.#mesh = new CarMesh(wanted.baked, new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide }));
+    const material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide });
+    this.#mesh = new CarMesh(wanted.baked, material);
     this.#mesh.visible = false;
-    this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), this.#mesh.material);
+    this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), material);
     this.#mask.castShadow = true;
     const { position, color } = this.#mask.geometry.attributes;
     this.#cells = inCells(position);
@@ -141,7 +142,7 @@ export class Paint {
     for (const object of [this.#mesh, this.#mask, this.#tip]) object?.removeFromParent();
     this.#mesh?.geometry.dispose();
     this.#mask?.geometry.dispose();
-    this.#mesh?.material.dispose();
+    this.#mask?.material.dispose();
     this.#mesh = this.#mask = null;
     this.#tinted = this.#cells = [];
   }

@@ -1,7 +1,7 @@
 // A car as the page shows it: its mesh and colours, the arrow of its last hit, its label, and its row in the panel.
 import * as THREE from "three";
 import type { LiveCar, Scene } from "../scene.js";
-import { CarMesh, OwnModel } from "../three.js";
+import { CarMesh, OwnModel, partMaterials } from "../three.js";
 import { heat, heatMost, type Quantity } from "./colours.js";
 import type { Comparison } from "./compare.js";
 import { place, release } from "./objects.js";
@@ -15,6 +15,7 @@ export class ShownCar {
   readonly label = document.createElement("div");
   readonly row = document.createElement("button");
   mesh: CarMesh | null = null;
+  #paint: THREE.MeshStandardMaterial | null = null; // of its body
   own: OwnModel | null = null; // in place of the mesh
   #model: THREE.Object3D | null = null; // what it was made from
   #version = -1;
@@ -44,7 +45,7 @@ export class ShownCar {
     this.#takeOff();
     this.mesh?.removeFromParent();
     this.mesh?.geometry.dispose();
-    this.mesh?.material.dispose();
+    this.#paint?.dispose();
   }
 
   #takeOff(): void {
@@ -73,8 +74,8 @@ export class ShownCar {
       this.#undress();
       this.#version = -1;
       this.#painted = "";
-      const material = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
-      this.mesh = new CarMesh(car.baked, material);
+      this.#paint = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
+      this.mesh = new CarMesh(car.baked, partMaterials(this.#paint));
       this.#extent.setFromBufferAttribute(new THREE.BufferAttribute(car.baked.vertex, 3));
       this.group.add(this.mesh);
     }
@@ -92,15 +93,16 @@ export class ShownCar {
 
   /** Gives the car its own colour, or colours by a quantity. In a comparison, call it after that has found the differences. */
   paint(heatOf: Quantity | null, comparison: Comparison | null): void {
-    const { mesh } = this;
-    if (!mesh) return;
-    const material = mesh.material as THREE.MeshStandardMaterial, heated = heatOf === "strain" || (heatOf === "dent" && (!comparison || comparison.has(this)));
+    const { mesh } = this, material = this.#paint;
+    if (!mesh || !material) return;
+    const heated = heatOf === "strain" || (heatOf === "dent" && (!comparison || comparison.has(this)));
     if (material.vertexColors !== heated) {
       material.vertexColors = heated;
       material.color.set(heated ? "#ffffff" : this.colour);
       material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
     }
+    mesh.material = heated ? material : partMaterials(material);
     mesh.visible = heated || !this.own;
     if (this.own) this.own.visible = !heated;
     const wanted = !heated ? "" : comparison && heatOf === "dent" ? "difference" : `${heatOf} ${this.#version}`;
