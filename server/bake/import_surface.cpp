@@ -39,7 +39,7 @@ constexpr float opaque = 0.99f;
 // The triangles from `first` up to the next part's. The names are the file's, end at a zero, and may hold any bytes.
 struct PartRead {
   uint32_t first = 0;
-  uint32_t transparent = 0;
+  uint8_t transparent = 0, blended = 0;
   char name[longest_name] = {};
   char names[longest_names] = {};  // a line each
 };
@@ -114,12 +114,13 @@ void append(const aiMesh& mesh, const Eigen::Affine3d& placed, const std::string
   }
 }
 
-bool is_transparent(const aiMaterial& material) {
+void read_material(const aiMaterial& material, PartRead& part) {
   float opacity = 1;
   material.Get(AI_MATKEY_OPACITY, opacity);
+  part.transparent = opacity < opaque;
   aiString mode;
   material.Get(AI_MATKEY_GLTF_ALPHAMODE, mode);
-  return opacity < opaque || std::strcmp(mode.C_Str(), "BLEND") == 0;
+  part.blended = std::strcmp(mode.C_Str(), "BLEND") == 0;
 }
 
 // A node may hold several meshes, which differ by their materials.
@@ -136,7 +137,7 @@ void start_part(const aiScene& scene, const aiNode& node, const aiMesh& mesh, Fl
   if (mesh.mMaterialIndex < scene.mNumMaterials) {
     const aiMaterial& material = *scene.mMaterials[mesh.mMaterialIndex];
     names = std::string(material.GetName().C_Str()) + "\n";
-    part.transparent = is_transparent(material);
+    read_material(material, part);
   }
   names += mesh.mName.C_Str();
   for (const aiNode* each = &node; each && names.size() < longest_names; each = each->mParent)
@@ -384,6 +385,7 @@ std::vector<NamedPart> named_parts(const std::vector<PartRead>& read, const std:
     for (std::string line; std::getline(names, line);)
       if (!line.empty()) named.names.push_back(printable(line));
     named.transparent = part.transparent;
+    named.blended = part.blended;
     out.push_back(std::move(named));
   }
   std::stable_sort(out.begin(), out.end(), [](const NamedPart& a, const NamedPart& b) { return a.first < b.first; });

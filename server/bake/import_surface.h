@@ -25,7 +25,8 @@ struct NamedPart {
   std::string name;  // at most 128 bytes of printable ASCII
   size_t first = 0;
   std::vector<std::string> names = {};  // of its material, mesh and node, and of the nodes above; at most 512 bytes in all
-  bool transparent = false;             // its material is
+  bool transparent = false;             // its material lets light through
+  bool blended = false;                 // its material may, if its texture does
 };
 
 struct ImportedSurface {

@@ -19,12 +19,14 @@ namespace {
 using schema::PartKind;
 using Box = Eigen::AlignedBox3d;
 
-// Of a disc: how much longer than high it may be (a stretched model has oval wheels, so names allow more), how far its corners may
-// stick out (a square's by 1.41), and how wide it is against its radius.
+// Of a disc: how much longer than high it may be (a stretched model has oval wheels, so names allow more), how far its corners
+// may stick out (a square's by 1.41), and how wide it is against its radius.
 constexpr double oval = 1.12, oval_by_name = 1.3, corners = 1.08, widest = 1.8, thinnest = 0.15;
 constexpr double least_length = 0.04, most_length = 0.25;  // of a wheel's radius, as a share of the car's length
 constexpr double lifted = 0.5;                             // share of its radius that a wheel may be above the ground
 constexpr double like_its_twin = 0.2;  // share of its radius by which a wheel may differ from the one across
+// Some files blend all materials that have a texture. Glass lies above this share of the car's height, but for headlamps.
+constexpr double lowest_pane = 0.25;
 constexpr int most_reasons = 4;
 
 // ---- words ---------------------------------------------------------------------------------------------------------------
@@ -219,6 +221,22 @@ std::string listed(const std::vector<std::string>& names) {
   return out;
 }
 
+// How high above the ground each material begins, as a share of the car's height.
+std::map<std::string, double> heights_of(const ImportedSurface& input) {
+  Box car;
+  for (const Vec3& vertex : input.surface.vertex) car.extend(vertex.cast<double>());
+  std::map<std::string, double> out;
+  for (size_t i = 0; i < input.named.size(); ++i) {
+    const size_t end = i + 1 < input.named.size() ? input.named[i + 1].first : input.surface.triangle.size();
+    if (input.named[i].names.empty()) continue;
+    double& height = out.try_emplace(input.named[i].names[0], 1.0).first->second;
+    for (size_t t = input.named[i].first; t < end; ++t)
+      for (uint32_t v : input.surface.triangle[t])
+        height = std::min(height, (double(input.surface.vertex[v].z()) - car.min().z()) / car.sizes().z());
+  }
+  return out;
+}
+
 // What no name can tell apart: names that all parts of the file have.
 std::set<std::string> common_names(const std::vector<NamedPart>& named) {
   std::map<std::string, size_t> count;
@@ -235,6 +253,7 @@ std::set<std::string> common_names(const std::vector<NamedPart>& named) {
 PartsText propose_parts(const ImportedSurface& input, std::vector<std::string>& report) {
   schema::PartEntriesT entries;
   const std::set<std::string> common = common_names(input.named);
+  const std::map<std::string, double> heights = heights_of(input);
   std::map<PartKind, std::vector<std::string>> said;  // names, by kind
   std::vector<uint8_t> is_wheel(std::max<size_t>(1, input.named.size()), 0);
   std::vector<std::string> clear;
@@ -250,7 +269,8 @@ PartsText propose_parts(const ImportedSurface& input, std::vector<std::string>& 
       const PartKind kind = kind_of(named.names[k]);
       if (kind != PartKind::body) add(said[kind], named.names[k]);
       is_wheel[i] |= kind == PartKind::wheel;
-      if (k == 0 && named.transparent && kind != PartKind::glass) add(clear, named.names[k]);
+      if (k > 0 || kind != PartKind::body) continue;
+      if (named.transparent || (named.blended && heights.at(named.names[k]) > lowest_pane)) add(clear, named.names[k]);
     }
   }
   const auto enter = [&](const char* name, PartKind kind, const std::vector<std::string>& names) {

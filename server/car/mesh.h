@@ -18,7 +18,7 @@ struct Surface {
   std::vector<Vec3> vertex;
   std::vector<Triangle> triangle;
   std::vector<uint32_t> color;  // 0xrrggbb per vertex; empty: not painted
-  std::vector<uint8_t> part;    // per vertex; empty: all is body
+  std::vector<uint8_t> part{};  // per vertex; empty: all is body
 };
 
 // Positively oriented: (b-a) x (c-a) . (d-a) > 0.
