@@ -131,7 +131,7 @@ class Scene:
         solid = sum(len(mesh.triangle) for mesh in meshes if not mesh.glass)
         self._first_pane = solid or len(self.triangle)
         TriangleMesh(self._embree, self.vertex, self.triangle[: self._first_pane])
-        self._panes = None
+        self._panes: Any = None
         if self._first_pane < len(self.triangle):
             self._panes = EmbreeScene()
             TriangleMesh(self._panes, self.vertex, self.triangle[self._first_pane :])
