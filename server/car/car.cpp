@@ -220,7 +220,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   for (const auto* region : *file.region()) car->regions.push_back(region->str());
   if (file.source_to_car()) car->source_to_car = view<double>(file.source_to_car());
   const auto& matrix = car->source_to_car;
-  if (reinterpret_cast<uintptr_t>(matrix.data()) % alignof(double) != 0)
+  if (!matrix.empty() && reinterpret_cast<uintptr_t>(matrix.data()) % alignof(double) != 0)
     refuse(name, "its matrix from the source is not aligned");
   if (!matrix.empty() &&
       (matrix.size() != 12 || !std::all_of(matrix.begin(), matrix.end(), [](double x) { return std::isfinite(x); })))
