@@ -362,6 +362,48 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   EXPECT_LT(crush(stiff), crush(drive)) << stiff.text << drive.text;
 }
 
+// Two hosts drive two cars at each other. Both are told, a third program sees both dents, and the recording verifies.
+TEST_F(EndToEnd, TwoHostsCrashTheirCarsIntoEachOther) {
+  start_server(path("head_on.mcap"));
+  Crumple* viewer = open();
+  ASSERT_NE(viewer, nullptr);
+  ASSERT_EQ(crumple_follow(viewer, nullptr, 0), CRUMPLE_OK);
+  const auto drive = [&](const std::string& id, const std::string& start) {
+    const std::string scene = path((id + ".json").c_str());
+    std::ofstream(scene) << R"({"about": "One of two.", "obstacles": [], "hits": [)" << start << "]}";
+    const std::string car = car_file.string();
+    return std::vector<std::string>{"drive", scene, "--car", car, "--host", id, "--id", id, "--leave", "--connect", endpoint};
+  };
+  Process left(drive("left", R"({"position": {"x": -9, "y": 0, "z": 0}, "direction": {"x": 1, "y": 0, "z": 0},
+                                 "speed_kmh": 36, "seconds": 2})"));
+  const Outcome right = run(drive("right", R"({"position": {"x": 9, "y": 0, "z": 0}, "yaw_deg": 180,
+                                               "direction": {"x": -1, "y": 0, "z": 0}, "speed_kmh": 36, "seconds": 2})"));
+  EXPECT_EQ(left.wait(), 0) << left.text;
+  EXPECT_EQ(right.code, 0) << right.text;
+  for (const std::string& text : {left.text, right.text})
+    EXPECT_NE(text.find("contact at 36.0 km/h"), std::string::npos) << text;
+
+  const Outcome watch = run({"watch", "--once", "--connect", endpoint});
+  for (const char* id : {"left", "right"}) {
+    CrumpleSurface surface{};
+    int most = 0;
+    const auto same = [&] {
+      if (crumple_surface(viewer, id, &surface) != CRUMPLE_OK) return false;
+      for (uint32_t i = 0; i < 3 * surface.node_count; ++i) most = std::max(most, std::abs(int(surface.quanta[i])));
+      char hash[20];
+      std::snprintf(hash, sizeof hash, "%016llx", static_cast<unsigned long long>(surface.hash));
+      return watch.text.find(hash) != std::string::npos;
+    };
+    EXPECT_TRUE(until(viewer, same)) << id << "\n" << watch.text;
+    EXPECT_GT(most, 60) << "3 cm, in quanta of 0.5 mm";
+  }
+  server->send(SIGINT);
+  EXPECT_EQ(server->wait(), 0) << server->text;
+  const Outcome outcome = run({"replay", path("head_on.mcap"), "--verify"});
+  EXPECT_EQ(outcome.code, 0) << outcome.text;
+  EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
+}
+
 TEST_F(EndToEnd, ExitCodesAndErrorsSayWhatToDo) {
   EXPECT_EQ(run({"--help"}).code, 0);
   EXPECT_EQ(run({"serve", "--help"}).code, 0);
