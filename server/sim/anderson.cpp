@@ -46,16 +46,17 @@ Weighting combine(std::span<const AndersonPart> parts) {
 
 // Writes f and g of the step, and their changes since the previous step. Returns the squared length of f, m^2.
 double measure_change(const AndersonPart& part) {
-  auto& [before, node, last, history, team] = part;
-  const size_t n = node.size();
+  AndersonStep& last = part.last;
+  AndersonHistory& history = part.history;
+  const size_t n = part.node.size();
   for (auto* list : {&last.residual, &last.result, &last.unmixed}) list->resize(n);
   // Without a previous step there is no change. The kernel then writes to `unmixed`, which mix() overwrites before it is read.
   std::vector<Float4>& residual_change = last.compared ? history.residual[history.next] : last.unmixed;
   std::vector<Float4>& result_change = last.compared ? history.result[history.next] : last.unmixed;
   residual_change.resize(n);
   result_change.resize(n);
-  return team.sum<1>(uint32_t(n), nodes_at_once, [&](uint32_t k, uint32_t end, double* sum) {
-    kernels().anderson.compare(&node[k], &before[k], end - k, &last.residual[k], &last.result[k], &residual_change[k],
+  return part.team.sum<1>(uint32_t(n), nodes_at_once, [&](uint32_t k, uint32_t end, double* sum) {
+    kernels().anderson.compare(&part.node[k], &part.before[k], end - k, &last.residual[k], &last.result[k], &residual_change[k],
                                &result_change[k], sum);
   })[0];
 }
@@ -121,17 +122,16 @@ void mix(std::span<const AndersonPart> parts) {
   const Weighting weight = combine(parts);
   if (!weight.allFinite()) return;
   for (const AndersonPart& part : parts) {
-    auto& [before, node, last, history, team] = part;
-    last.mixed = true;
-    team.run(0, uint32_t(node.size()), nodes_at_once, [&](uint32_t k, uint32_t end) {
+    part.last.mixed = true;
+    part.team.run(0, uint32_t(part.node.size()), nodes_at_once, [&](uint32_t k, uint32_t end) {
       const Float4* changes[anderson_depth];
       float by[anderson_depth];
       for (int p = 0; p < m; ++p) {
-        changes[p] = &history.result[p][k];
+        changes[p] = &part.history.result[p][k];
         by[p] = -float(weight[p]);
       }
-      std::copy_n(&node[k], end - k, &last.unmixed[k]);
-      kernels().anderson.combine(changes, by, m, end - k, &node[k]);
+      std::copy_n(&part.node[k], end - k, &part.last.unmixed[k]);
+      kernels().anderson.combine(changes, by, m, end - k, &part.node[k]);
     });
   }
 }

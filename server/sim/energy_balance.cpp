@@ -104,7 +104,8 @@ double balancing_share(const Mass& mass, const Load& impulse, const Vector3d& pr
 
 // The forces of obstacles on a car, and their friction's heat.
 Load push_by_obstacles(Member& car) {
-  auto& [body, motion, result, spring] = car.state;
+  StepState& state = car.state;
+  DeformableState& body = state.body;
   Vector3d force = Vector3d::Zero(), moment = Vector3d::Zero();  // car's frame
   for_each_pressing(car, [&](const Contact& contact, const Vec3& held) {
     const Vector3d f = held.cast<double>();
@@ -114,11 +115,11 @@ Load push_by_obstacles(Member& car) {
     const Vec3 tangential = held - contact.normal.dot(held) * contact.normal;
     const double rubbed = double(std::max(0.0f, -tangential.dot(slip)));
     body.absorbed += rubbed;
-    spring -= rubbed;
-    result.deepest = std::max(result.deepest, -contact.after);
-    ++result.contacts;
+    state.spring -= rubbed;
+    state.result.deepest = std::max(state.result.deepest, -contact.after);
+    ++state.result.contacts;
   });
-  const Eigen::Quaterniond& axes = motion.pose.orientation;
+  const Eigen::Quaterniond& axes = state.motion.pose.orientation;
   return {axes * force, axes * moment};
 }
 
