@@ -13,6 +13,7 @@ namespace {
 
 constexpr float friction_of_cars = 0.6f;  // bodywork on bodywork
 constexpr float smallest_cell = 0.08f;    // m, of the grid
+constexpr float cells_of_triangle = 4;    // most, along an axis
 constexpr int most_cells = 64;            // along an axis
 constexpr float smallest_area = 1e-10f;   // m^2: thinner triangles have no normal
 constexpr float same_distance = 1e-9f;    // m^2: a point is as near to two triangles where they meet
@@ -77,6 +78,11 @@ class Grid {
   Grid(const Bounds& box, float radius, const Boundary& boundary, std::span<const uint32_t> triangles,
        const std::vector<Vec3>& node)
       : box_(box), cell_(std::max(smallest_cell, radius)) {
+    // A body that was torn apart has triangles as long as a street, which must not fill thousands of cells.
+    for (uint32_t triangle : triangles) {
+      const Bounds around = bounds_of(boundary.triangle[triangle], node);
+      cell_ = std::max(cell_, (around.high - around.low).maxCoeff() / cells_of_triangle);
+    }
     for (int k = 0; k < 3; ++k) size_[k] = std::clamp(int((box.high[k] - box.low[k]) / cell_) + 1, 1, most_cells);
     first_.assign(size_t(size_[0]) * size_t(size_[1]) * size_t(size_[2]) + 2, 0);
     const auto for_each = [&](const auto& visit) {
@@ -416,13 +422,16 @@ bool is_deep(const Vec3& p, const Boundary& boundary, const std::vector<Vec3>& n
 bool begins_inside(const Member& car, const Member& other, const Relative& frame) {
   const PairMemory& memory = car.state.body.pairs;
   const auto has = [&](const std::vector<uint64_t>& keys) { return std::binary_search(keys.begin(), keys.end(), other.key); };
-  if (has(memory.near) && !has(memory.passing)) return false;
+  const bool passes = has(memory.passing);
+  if (has(memory.near) && !passes) return false;
   const Bounds box{other.state.body.low, other.state.body.high};
   const std::vector<uint32_t>& nodes = car.input.model.boundary->node;
   const size_t step = std::max<size_t>(1, nodes.size() / nodes_tested);
   for (size_t k = 0; k < nodes.size(); k += step) {
     const Vec3 p = at(frame, car.state.body.node[nodes[k]]);
-    if (box.has(p) && is_deep(p, *other.input.model.boundary, other.state.body.node)) return true;
+    if (!box.has(p)) continue;
+    const auto within = passes ? is_inside : is_deep;  // once they pass, until they have parted
+    if (within(p, *other.input.model.boundary, other.state.body.node)) return true;
   }
   return false;
 }

@@ -7,8 +7,7 @@
 
 namespace crumple {
 
-// Most cars that one car notices around it. More in one place stand inside each other; the nearest in the order of ids are
-// kept.
+// Most cars that one car notices around it. More in one place stand inside each other; those that lie first along x are kept.
 inline constexpr size_t neighbour_limit = 32;
 
 // Names a car to the others in all ticks.
