@@ -11,10 +11,12 @@
 #include <string>
 #include <vector>
 
+#include "paths.h"
+
 namespace {
 
 namespace fs = std::filesystem;
-const fs::path root = CRUMPLE_SOURCE_DIR;
+const fs::path root = crumple::in_repository("");
 
 struct Source {
   std::string name;  // relative to the root

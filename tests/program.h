@@ -15,6 +15,7 @@
 #include <functional>
 
 #include "box_car.h"
+#include "paths.h"
 
 namespace crumple {
 
@@ -27,7 +28,7 @@ class Process {
   explicit Process(std::vector<std::string> arguments) {
     int ends[2];
     EXPECT_EQ(pipe(ends), 0);
-    arguments.insert(arguments.begin(), CRUMPLE_PROGRAM);
+    arguments.insert(arguments.begin(), program_path());
     child_ = fork();
     if (child_ == 0) {
       dup2(ends[1], STDOUT_FILENO);

@@ -10,6 +10,7 @@
 #include <set>
 
 #include "cpp/session.h"
+#include "paths.h"
 
 namespace crumple {
 namespace {
@@ -165,7 +166,7 @@ void expect_refused(const Call& call, Crumple* session, int missing, const std::
 }
 
 TEST(CLibrary, EveryFunctionOfTheHeaderIsInTheTable) {
-  std::ifstream file(CRUMPLE_SOURCE_DIR "/clients/cpp/include/crumple_client.h");
+  std::ifstream file(in_repository("clients/cpp/include/crumple_client.h"));
   std::set<std::string> declared, listed{"crumple_error", "crumple_keep"};  // these take no arguments
   const std::regex function("^[a-zA-Z].*\\b(crumple_[a-z_]+)\\(");
   for (std::string line; std::getline(file, line);)

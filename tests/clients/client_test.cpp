@@ -16,6 +16,7 @@
 #include "box_car.h"
 #include "cpp/scene.h"
 #include "io/net.h"
+#include "paths.h"
 #include "protocol/surface_codec.h"
 #include "refusal.h"
 #include "schema/message_generated.h"
@@ -1042,7 +1043,7 @@ std::string scene_trouble(const std::string& text) {
 
 TEST(Scene, EverySceneOfTheRepositoryIsRead) {
   size_t count = 0;
-  for (const auto& file : std::filesystem::directory_iterator(std::string(CRUMPLE_SOURCE_DIR) + "/clients/scenes")) {
+  for (const auto& file : std::filesystem::directory_iterator(in_repository("clients/scenes"))) {
     const schema::SceneT scene = client::read_scene(file.path().string());
     EXPECT_FALSE(scene.about.empty());
     EXPECT_EQ(scene.obstacles.empty(), scene.about.find("two cars") != std::string::npos) << file.path();
@@ -1053,7 +1054,7 @@ TEST(Scene, EverySceneOfTheRepositoryIsRead) {
 
 TEST(Scene, EveryPresetOfTheRepositoryIsRead) {
   std::set<std::string> abouts;
-  for (const auto& file : std::filesystem::directory_iterator(std::string(CRUMPLE_SOURCE_DIR) + "/clients/presets")) {
+  for (const auto& file : std::filesystem::directory_iterator(in_repository("clients/presets"))) {
     if (file.path().extension() != ".json") continue;
     const schema::PresetT preset = client::read_preset(file.path().string());
     EXPECT_FALSE(preset.parameters.empty()) << file.path();

@@ -5,6 +5,7 @@
 #include "cli/command_line.h"
 #include "fuzz/small_world.h"
 #include "io/net.h"
+#include "paths.h"
 
 namespace crumple::fuzz {
 
@@ -39,8 +40,8 @@ bool network_run(Input input) {
 
 std::vector<std::vector<uint8_t>> network_seeds() {
   std::vector<std::vector<uint8_t>> seeds;
-  for (const std::string file : {"/server/network.json5", "/clients/network.json5"})
-    seeds.push_back(bytes_of_file(CRUMPLE_SOURCE_DIR + file));
+  for (const std::string file : {"server/network.json5", "clients/network.json5"})
+    seeds.push_back(bytes_of_file(in_repository(file)));
   return seeds;
 }
 

@@ -7,6 +7,7 @@
 #include <ostream>
 
 #include "fuzz/entries.h"
+#include "paths.h"
 
 namespace crumple::fuzz {
 
@@ -41,7 +42,7 @@ TEST_P(Fuzz, BeginsWithGoodInputs) {
 }
 
 TEST_P(Fuzz, EveryKeptInputEndsWell) {
-  const auto folder = std::filesystem::path(CRUMPLE_SOURCE_DIR) / "tests/fuzz/corpus" / GetParam().name;
+  const auto folder = in_repository("tests/fuzz/corpus/" + std::string(GetParam().name));
   size_t kept = 0;
   for (const auto& file : std::filesystem::directory_iterator(folder)) {
     run(GetParam(), bytes_of_file(file.path()), file.path());

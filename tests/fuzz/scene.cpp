@@ -8,6 +8,7 @@
 #include "bake/parts.h"
 #include "box_car.h"
 #include "fuzz/entries.h"
+#include "paths.h"
 #include "wheeled_car.h"
 
 namespace crumple::fuzz {
@@ -34,7 +35,7 @@ bool scene_run(Input input) {
 
 std::vector<std::vector<uint8_t>> scene_seeds() {
   std::vector<std::vector<uint8_t>> seeds;
-  for (const auto& file : std::filesystem::directory_iterator(CRUMPLE_SOURCE_DIR "/clients/scenes"))
+  for (const auto& file : std::filesystem::directory_iterator(in_repository("clients/scenes")))
     seeds.push_back(bytes_of_file(file.path()));
   return seeds;
 }

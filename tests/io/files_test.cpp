@@ -14,6 +14,7 @@
 #include "bake/load_car.h"
 #include "box_car.h"
 #include "io/obj.h"
+#include "paths.h"
 #include "program.h"
 #include "protocol/asset.h"
 #include "recording/gltf.h"
@@ -110,7 +111,7 @@ class FilesOfVerbs : public Program {
 };
 
 TEST_F(FilesOfVerbs, EveryVerbRefusesWhatIsNoFileOrIsTooLarge) {
-  const std::string car = car_file.string(), out = path("out"), scene = CRUMPLE_SOURCE_DIR "/clients/scenes/pole.json";
+  const std::string car = car_file.string(), out = path("out"), scene = in_repository("clients/scenes/pole.json");
   ASSERT_EQ(mkfifo(path("pipe").c_str(), 0600), 0);
   std::filesystem::create_directory(path("dir"));
   std::filesystem::resize_file(write("vast", ""), uintmax_t{100} << 30);
@@ -142,7 +143,7 @@ TEST_F(FilesOfVerbs, EveryVerbRefusesWhatIsNoFileOrIsTooLarge) {
 }
 
 TEST_F(FilesOfVerbs, AnExportOrARecoveryThatFindsNoRoomLeavesNoFile) {
-  const std::string recording = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
+  const std::string recording = in_repository("recordings/built_in_pole.mcap");
   std::vector<Outcome> outcomes;
   {
     const FullDisk disk;

@@ -13,6 +13,7 @@
 
 #include "io/metrics.h"
 #include "io/web.h"
+#include "paths.h"
 #include "program.h"
 
 namespace crumple {
@@ -521,7 +522,7 @@ TEST_F(HttpProgram, SigtermEndsAServerWhoseMetricsAreAskedForAndNeverRead) {
 }
 
 TEST_F(HttpProgram, AGatewayOutlivesBrowsersThatHangUpInTheMiddle) {
-  const std::string film = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
+  const std::string film = in_repository("recordings/built_in_pole.mcap");
   Process gateway({"view", film, film, "--page", write("page.html", "<p>a page"), "--listen", "127.0.0.1:0"});
   ASSERT_TRUE(gateway.read_until("in a browser\n")) << gateway.text;
   const size_t at = gateway.text.find("http://") + 7;
@@ -539,7 +540,7 @@ TEST_F(HttpProgram, AGatewayOutlivesBrowsersThatHangUpInTheMiddle) {
 }
 
 TEST_F(HttpProgram, AGatewaySaysOnceThatItRefusesBrowsers) {
-  const std::string film = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
+  const std::string film = in_repository("recordings/built_in_pole.mcap");
   Process gateway({"view", film, film, "--page", write("page.html", "<p>a page"), "--listen", "127.0.0.1:0"});
   ASSERT_TRUE(gateway.read_until("in a browser\n")) << gateway.text;
   const size_t at = gateway.text.find("http://") + 7;

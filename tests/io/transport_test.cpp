@@ -19,6 +19,7 @@
 #include "impaired_link.h"
 #include "io/mcap.h"
 #include "io/net.h"
+#include "paths.h"
 
 namespace crumple {
 namespace {
@@ -974,7 +975,7 @@ std::string after(const std::string& text, const std::string& marker) {
 
 // All ends must use the same minor version of Zenoh: the Rust library and the Python tools.
 TEST(Transport, AgreesWithPythonOnTheVersionOfZenoh) {
-  const std::filesystem::path root = CRUMPLE_SOURCE_DIR;
+  const std::filesystem::path root = in_repository("");
   const std::string lock = after(read_file(root / "server/io/Cargo.lock"), "name = \"zenoh\"\nversion = \"");
   EXPECT_EQ(lock, after(read_file(root / "server/requirements.txt"), "eclipse-zenoh=="));
   EXPECT_EQ(lock, after(transport_version(), "zenoh "));

@@ -13,6 +13,7 @@
 
 #include "io/mcap.h"
 #include "io/net.h"
+#include "paths.h"
 #include "program.h"
 #include "schema/message_generated.h"
 #include "tick/health.h"
@@ -33,7 +34,7 @@ constexpr const char* only = "";
 
 TEST(Recordings, GiveEveryTickAgainAt1And2And4Threads) {
   int files = 0;
-  for (const auto& entry : fs::directory_iterator(fs::path(CRUMPLE_SOURCE_DIR) / "recordings")) {
+  for (const auto& entry : fs::directory_iterator(in_repository("recordings"))) {
     if (entry.path().extension() != ".mcap") continue;
     ++files;
     EXPECT_LT(fs::file_size(entry.path()), 1'000'000u) << entry.path();
@@ -244,7 +245,7 @@ TEST_F(Recorded, AServerKilledInTheMiddleOfACrashLosesASecondAtMost) {
 }
 
 TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
-  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
+  const std::string source = in_repository("recordings/built_in_roof_drop.mcap");
   const Contents all = read(source);
   const std::string bytes = bytes_of(source);
   const size_t cars = bytes.find("crumple/1/");  // the first message comes after the schemas
@@ -281,7 +282,7 @@ TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
 }
 
 TEST_F(Recorded, RecoverLeavesATickWithoutItsEndOut) {
-  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_roof_drop.mcap";
+  const std::string source = in_repository("recordings/built_in_roof_drop.mcap");
   const Contents all = read(source);
   // Finds a tick with inputs and outputs, and leaves out its end and everything after it.
   uint32_t tick = 0;
@@ -544,7 +545,7 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
 
 // Recordings from before we wrote an end of our own.
 TEST_F(Recorded, AnOlderRecordingIsVerifiedAsBeforeAndItIsSaid) {
-  const Outcome outcome = run({"replay", CRUMPLE_SOURCE_DIR "/recordings/built_in_roof_drop.mcap", "--verify"});
+  const Outcome outcome = run({"replay", in_repository("recordings/built_in_roof_drop.mcap"), "--verify"});
   EXPECT_EQ(outcome.code, 0) << outcome.text;
   EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
   EXPECT_NE(outcome.text.find("an older program recorded it"), std::string::npos) << outcome.text;
@@ -671,7 +672,7 @@ class DiskThatHangs : public Recorded {
     GTEST_SKIP() << "its runtime must be the first library";
 #endif
     Recorded::SetUp();
-    setenv("LD_PRELOAD", CRUMPLE_HANG, 1);  // for the programs that this test starts
+    setenv("LD_PRELOAD", hang_path().c_str(), 1);  // for the programs that this test starts
     setenv("CRUMPLE_HANG", path("hang").c_str(), 1);
   }
   void TearDown() override {
@@ -830,7 +831,7 @@ TEST_F(Recorded, GoesOnInFilesThatReplayByThemselvesAndLackNoTick) {
 
 TEST_F(Recorded, AFolderThatCannotBeWrittenIsRefusedAtTheStart) {
   for (const char* verb : {"serve", "recover", "export"}) {
-    const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/built_in_pole.mcap";
+    const std::string source = in_repository("recordings/built_in_pole.mcap");
     const std::string there = "/sys/crumple.mcap";  // not even root creates files there
     std::vector<std::string> arguments = {verb, source, "-o", there};
     if (std::string(verb) == "serve")
@@ -954,7 +955,7 @@ TEST_F(Recorded, ExportShowsOtherProgramsTheCarThatAViewerSaw) {
 
 // A car whose vertices lie inside tets, as a viewer of the film sees it.
 TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
-  const std::string source = std::string(CRUMPLE_SOURCE_DIR) + "/recordings/m130_wall.mcap";
+  const std::string source = in_repository("recordings/m130_wall.mcap");
   uint64_t end = 0;
   for (const Message& message : read(source).messages) {
     if (!message.topic.ends_with("/0")) continue;  // of another surface level
@@ -992,7 +993,7 @@ TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
 
 // A forged keyframe with another number of nodes and the correct hash of them.
 TEST_F(Recorded, ExportRefusesASurfaceThatLosesItsNodes) {
-  const std::string source = CRUMPLE_SOURCE_DIR "/recordings/built_in_pole.mcap";
+  const std::string source = in_repository("recordings/built_in_pole.mcap");
   int keyframes = 0;
   copy(source, path("hostile.mcap"), nullptr, [&](Message& message) {
     if (!message.is("Keyframe") || ++keyframes == 1) return true;

@@ -13,6 +13,7 @@
 #include "host.h"
 #include "io/mcap.h"
 #include "io/net.h"
+#include "paths.h"
 #include "program.h"
 
 namespace crumple {
@@ -32,7 +33,7 @@ std::string with(std::string text, const std::string& from, const std::string& t
 }
 
 std::string repository_file(const char* name) {
-  std::ifstream file(std::string(CRUMPLE_SOURCE_DIR "/") + name);
+  std::ifstream file(in_repository(name));
   return {std::istreambuf_iterator<char>(file), {}};
 }
 
@@ -577,7 +578,7 @@ TEST_F(Operate, ATerminatedServerClosesItsRecordingAndViewersSeeItGo) {
 
 TEST_F(Operate, TheUnitOfSystemdIsOne) {
   if (std::system("systemd-analyze --version >/dev/null 2>&1") != 0) GTEST_SKIP() << "systemd-analyze is not here";
-  const std::string unit = with(repository_file("server/crumple.service"), "/usr/local/bin/crumple", CRUMPLE_PROGRAM);
+  const std::string unit = with(repository_file("server/crumple.service"), "/usr/local/bin/crumple", program_path());
   const std::string said = path("said");
   const int code = std::system(("systemd-analyze verify " + write("crumple.service", unit) + " >" + said + " 2>&1").c_str());
   std::ifstream file(said);
