@@ -1,12 +1,14 @@
 // Cars that hit each other, beside answers that are known: a car that meets its like at equal speed crushes as in a wall,
 // momentum and energy are kept, and what one sees another may not change.
-//   crumple_pairs CAR...        one table per car; --help lists the options
+//   crumple_pairs CAR...                  one table per car; --help lists the options
+//   crumple_pairs CAR --random 1000       random crashes; prints those that break a law, and how many
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <functional>
 #include <limits>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -26,6 +28,7 @@ struct Options {
   double kmh = 50;
   uint16_t sweeps = 0, substeps = 0;  // 0: the default, with its tolerance
   std::string scene;
+  int random = 0, first = 0;
 };
 
 double seconds_now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
@@ -169,6 +172,86 @@ void play_car(const std::shared_ptr<const Car>& car, const Options& options) {
   });
 }
 
+// A crash of two cars of random mass (a tenth to ten times the car's), stiffness (half to three times), pose, speed and, in
+// every fourth, spin.
+PileUp random_crash(const std::shared_ptr<const Car>& car, int seed) {
+  std::mt19937 generator(static_cast<uint32_t>(seed));
+  const auto uniform = [&](double low, double high) { return low + (high - low) * double(generator()) / 4294967296.0; };
+  const auto factor = [&](double low, double high) { return std::exp(uniform(std::log(low), std::log(high))); };
+  PileUp scene;
+  scene.cars.reserve(2);
+  const double direction = uniform(-pi, pi), aside = uniform(-2.2, 2.2);
+  const Vector3d away(std::cos(direction), std::sin(direction), 0), side(-away.y(), away.x(), 0);
+  Vector3d place = uniform(3, 5.5) * away + aside * side;
+  CrashCar& first = scene.add(car, 0, 0, uniform(-pi, pi), 0);
+  CrashCar& second = scene.add(car, place.x(), place.y(), uniform(-pi, pi), 0);
+  const auto overlap = [&] { return measure_overlap(first, second).any > 0 || measure_overlap(second, first).any > 0; };
+  while (overlap()) second.motion.pose.position += 0.15 * away;
+  first.motion.velocity = uniform(2, 30) * away;
+  second.motion.velocity = -uniform(2, 30) * away;
+  for (CrashCar& each : scene.cars) {
+    const double stiffness = factor(0.5, 3), mass = factor(0.1, 10);
+    for (Material& material : each.parameters.region) material.young_modulus *= float(stiffness);
+    each.mass.mass *= mass;
+    each.mass.inertia *= mass;
+    if (seed % 4 == 3) each.motion.angular_velocity.z() = uniform(-5, 5);
+  }
+  return scene;
+}
+
+struct Tally {
+  int crashes = 0, lost = 0, created = 0, kinetic = 0, undone = 0, inside = 0;
+  double least = 1, most = 1, worst_momentum = 0, seconds = 0;
+};
+
+void play_random(const std::shared_ptr<const Car>& car, const Options& options) {
+  Tally tally;
+  for (int k = 0; k < options.random; ++k) {
+    const int seed = options.first + k;
+    PileUp scene = random_crash(car, seed);
+    const double start = scene.energy(), brought = scene.kinetic(), begun = seconds_now();
+    const Vector3d momentum = scene.momentum();
+    double scale = 0, most = 0, most_kinetic = 0, slowest = 0;
+    for (const CrashCar& each : scene.cars) scale += each.mass.mass * each.motion.velocity.norm();
+    bool undone = false, lost_shape = false;
+    for (int tick = 0; tick < 30; ++tick) {
+      const double before = seconds_now();
+      scene.tick();
+      slowest = std::max(slowest, seconds_now() - before);
+      most = std::max(most, scene.energy() / start - 1);
+      most_kinetic = std::max(most_kinetic, scene.kinetic() / brought - 1);
+      for (const CrashCar& each : scene.cars) undone |= each.last.recovered, lost_shape |= each.body.lost;
+    }
+    const double energy = scene.energy() / start, moved = (scene.momentum() - momentum).norm() / scale;
+    const double inside =
+        std::max(measure_overlap(scene.cars[0], scene.cars[1]).node, measure_overlap(scene.cars[1], scene.cars[0]).node);
+    ++tally.crashes;
+    tally.seconds += seconds_now() - begun;
+    tally.lost += energy < 0.97;
+    tally.created += most > 0.01;
+    tally.kinetic += most_kinetic > 1e-6;
+    tally.undone += undone;
+    tally.inside += inside > 0.02;
+    tally.least = std::min(tally.least, energy);
+    tally.most = std::max(tally.most, 1 + most);
+    tally.worst_momentum = std::max(tally.worst_momentum, moved);
+    if (energy < 0.97 || most > 0.01 || undone || most_kinetic > 1e-6 || inside > 0.02 || moved > 1e-9) {
+      const CrashCar &a = scene.cars[0], &b = scene.cars[1];
+      std::printf(
+          "%6d: %5.0f kg and %5.0f kg, energy %.4f, most %+.4f, kinetic %+.1e, inside %3.0f mm, displaced %.2f and %.2f m, "
+          "slowest tick %.0f ms%s%s\n",
+          seed, a.mass.mass, b.mass.mass, energy, most, most_kinetic, 1e3 * inside, a.largest_displacement(),
+          b.largest_displacement(), 1e3 * slowest, lost_shape ? ", shape lost" : "", undone ? ", a tick undone" : "");
+      std::fflush(stdout);
+    }
+  }
+  std::printf(
+      "%d crashes: %d end below 0.97 of their energy (least %.3f), %d rise by over 1 %% (most %.3f), %d gain kinetic energy, "
+      "%d with a tick undone, %d end over 20 mm inside; momentum within %.1e; %.0f s\n",
+      tally.crashes, tally.lost, tally.least, tally.created, tally.most, tally.kinetic, tally.undone, tally.inside,
+      tally.worst_momentum, tally.seconds);
+}
+
 }  // namespace
 
 int main(int count, char** argument) {
@@ -180,6 +263,10 @@ int main(int count, char** argument) {
       ->check(CLI::Range(2, 1000));
   app.add_option("--substeps", options.substeps, "sub-steps in 1/60 s (default: 4)")->check(CLI::Range(1, 64));
   app.add_option("--scene", options.scene, "only scenes whose name contains this");
+  app.add_option("--random", options.random, "instead plays so many random crashes")->check(CLI::Range(1, 1000000));
+  app.add_option("--first", options.first, "seed of the first random crash; the next has the next")
+      ->check(CLI::Range(0, 1000000));
   CLI11_PARSE(app, count, argument);
-  for (const std::string& file : options.cars) play_car(load_car(file), options);
+  for (const std::string& file : options.cars)
+    options.random > 0 ? play_random(load_car(file), options) : play_car(load_car(file), options);
 }

@@ -109,7 +109,11 @@ void step(std::span<Member> island, PairGroup& group, const Substep& now, Timer*
     const double taken = flow_nodal(member.input.model, solver, body);
     body.absorbed += taken;
     spring -= taken;
+    const double before = body.stored;
     body.stored = stored_nodal(member.input.model, contacts, group.contact.empty() ? nullptr : &group.index[k], solver, body);
+    // Nothing works on a free body. What it stores more, it took back from the flow (revert_inverted).
+    const bool free = !body.touching && contacts.contact.empty() && group.contact.empty();
+    if (body.lost && free) body.absorbed -= std::clamp(body.stored - before, 0.0, body.absorbed);
   }
   react(island, group, now, double(h));
   remember_pairs(island, group);
@@ -130,7 +134,7 @@ void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
   const double h = island.front().input.seconds / count;
   for (Member& member : island) {
     auto& [body, motion, result, spring] = member.state;
-    spring = body.lost ? 0 : std::max(0.0, body.stored - body.owed);
+    spring = std::max(0.0, body.stored - body.owed);
   }
   for (int k = 0; k < count; ++k) {
     const Substep now{k * h, h};
@@ -139,7 +143,7 @@ void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
   island.front().scratch.team.leave();
   for (Member& member : island) {
     auto& [body, motion, result, spring] = member.state;
-    const bool balanced = body.lost || body.settled || !std::isfinite(member.input.mass.mass);
+    const bool balanced = body.settled || !std::isfinite(member.input.mass.mass);
     body.owed = balanced ? 0 : std::max(0.0, body.stored - spring);
   }
 }

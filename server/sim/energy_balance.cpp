@@ -91,12 +91,9 @@ double balancing_share(const Mass& mass, const Load& impulse, const Vector3d& pr
   const auto gains = [&](double gain, int sign) {  // shares that add this energy, or come nearest to it
     return (sign * std::sqrt(std::max(0.0, linear * linear + 4 * square * gain)) - linear) / (2 * square);
   };
-  double share = 1;
-  if (!state.body.lost) {
-    const double missing = state.spring - state.body.stored;
-    const double stops = gains(missing, -1), returns = gains(missing, 1);
-    share = std::clamp(std::fabs(stops - 1) < std::fabs(returns - 1) ? stops : returns, least_share, most_share);
-  }
+  const double missing = state.spring - state.body.stored;
+  const double stops = gains(missing, -1), returns = gains(missing, 1);
+  double share = std::clamp(std::fabs(stops - 1) < std::fabs(returns - 1) ? stops : returns, least_share, most_share);
   if ((linear + square * share) * share > state.spring) share = std::clamp(gains(state.spring, 1), 0.0, share);
   state.spring -= (linear + square * share) * share;
   return share;
@@ -237,12 +234,10 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
              std::vector<Load>& impulse, double& share) {
   const Kinetic kinetic(island, group, pressing_velocity(island, group, now));
   double spring = 0, stored = 0, most = 0;
-  bool lost = false;
   for (size_t k = 0; k < group.member.size(); ++k) {
     const StepState& state = island[group.member[k]].state;
     spring += state.spring;
     stored += state.body.stored;
-    lost = lost || state.body.lost;
     most = std::max(most, impulse[k].linear.norm());
   }
   const double before = kinetic.after(std::vector<Load>(impulse.size()));
@@ -250,7 +245,7 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
   double size = 0;
   for (const Load& each : more) size = std::max(size, each.linear.norm());
   const double square = kinetic.of(more);
-  if (!lost && size > 0 && square > 0) {
+  if (size > 0 && square > 0) {
     const double gained = kinetic.after(impulse) - before;
     std::vector<Load> with = impulse;
     for (size_t k = 0; k < with.size(); ++k) with[k] = with[k] + more[k];

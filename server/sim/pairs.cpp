@@ -18,6 +18,7 @@ constexpr int most_cells = 64;            // along an axis
 constexpr float smallest_area = 1e-10f;   // m^2: thinner triangles have no normal
 constexpr float same_distance = 1e-9f;    // m^2: a point is as near to two triangles where they meet
 constexpr float least_way = 1e-3f;        // m: a node that slides less far stays with its triangle
+constexpr float same_way = 0.5f;          // cosine between normals of one contact in successive sub-steps
 constexpr float born_inside = 0.05f;      // m: no contact lets a node come as deep
 constexpr size_t nodes_tested = 64;       // for being inside
 constexpr float at_surface = 1e-3f;       // m: nearer than this, the triangle's normal is better than the way to it
@@ -225,7 +226,9 @@ std::optional<PairContact> contact_of(const PairStep& step, const Search& search
     }
   }
   const float after = normal.dot(end - found.nearest.point);
-  if (after > contact_margin) return std::nullopt;
+  // Bodies that press spring back, maybe as far as the cars part.
+  const bool presses = known && known->pressure > 0 && before < contact_margin && normal.dot(known->normal) > same_way;
+  if (after > contact_margin && !presses) return std::nullopt;
   PairContact contact{};
   contact.node = node;
   const auto& under = search.boundary.triangle[found.triangle];
