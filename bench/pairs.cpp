@@ -8,7 +8,6 @@
 #include <cstdio>
 #include <functional>
 #include <limits>
-#include <random>
 #include <string>
 #include <vector>
 
@@ -172,33 +171,6 @@ void play_car(const std::shared_ptr<const Car>& car, const Options& options) {
   });
 }
 
-// A crash of two cars of random mass (a tenth to ten times the car's), stiffness (half to three times), pose, speed and, in
-// every fourth, spin.
-PileUp random_crash(const std::shared_ptr<const Car>& car, int seed) {
-  std::mt19937 generator(static_cast<uint32_t>(seed));
-  const auto uniform = [&](double low, double high) { return low + (high - low) * double(generator()) / 4294967296.0; };
-  const auto factor = [&](double low, double high) { return std::exp(uniform(std::log(low), std::log(high))); };
-  PileUp scene;
-  scene.cars.reserve(2);
-  const double direction = uniform(-pi, pi), aside = uniform(-2.2, 2.2);
-  const Vector3d away(std::cos(direction), std::sin(direction), 0), side(-away.y(), away.x(), 0);
-  Vector3d place = uniform(3, 5.5) * away + aside * side;
-  CrashCar& first = scene.add(car, 0, 0, uniform(-pi, pi), 0);
-  CrashCar& second = scene.add(car, place.x(), place.y(), uniform(-pi, pi), 0);
-  const auto overlap = [&] { return measure_overlap(first, second).any > 0 || measure_overlap(second, first).any > 0; };
-  while (overlap()) second.motion.pose.position += 0.15 * away;
-  first.motion.velocity = uniform(2, 30) * away;
-  second.motion.velocity = -uniform(2, 30) * away;
-  for (CrashCar& each : scene.cars) {
-    const double stiffness = factor(0.5, 3), mass = factor(0.1, 10);
-    for (Material& material : each.parameters.region) material.young_modulus *= float(stiffness);
-    each.mass.mass *= mass;
-    each.mass.inertia *= mass;
-    if (seed % 4 == 3) each.motion.angular_velocity.z() = uniform(-5, 5);
-  }
-  return scene;
-}
-
 struct Tally {
   int crashes = 0, lost = 0, created = 0, kinetic = 0, undone = 0, inside = 0;
   double least = 1, most = 1, worst_momentum = 0, seconds = 0;
@@ -208,7 +180,7 @@ void play_random(const std::shared_ptr<const Car>& car, const Options& options) 
   Tally tally;
   for (int k = 0; k < options.random; ++k) {
     const int seed = options.first + k;
-    PileUp scene = random_crash(car, seed);
+    PileUp scene = random_crash(car, uint32_t(seed));
     const double start = scene.energy(), brought = scene.kinetic(), begun = seconds_now();
     const Vector3d momentum = scene.momentum();
     double scale = 0, most = 0, most_kinetic = 0, slowest = 0;

@@ -150,6 +150,7 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
   take(from.hardening, to.hardening);
   take(from.plastic_limit, to.plastic_limit);
   take(from.drag, to.drag);
+  take(from.friction, to.friction);
   take(from.distance_stiffness, to.distance_stiffness);
   take(from.volume_stiffness, to.volume_stiffness);
   take(from.plasticity, to.plasticity);

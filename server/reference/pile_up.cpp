@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <random>
 
 #include "car/nearest.h"
 
@@ -127,6 +128,34 @@ Overlap measure_overlap(const CrashCar& inner, const CrashCar& outer) {
     }
   }
   return out;
+}
+
+PileUp random_crash(const std::shared_ptr<const Car>& car, uint32_t seed) {
+  std::mt19937 generator(seed);
+  const auto uniform = [&](double low, double high) { return low + (high - low) * double(generator()) / 4294967296.0; };
+  const auto factor = [&](double low, double high) { return std::exp(uniform(std::log(low), std::log(high))); };
+  PileUp scene;
+  scene.cars.reserve(2);
+  const double direction = uniform(-M_PI, M_PI), aside = uniform(-2.2, 2.2);
+  const Vector3d away(std::cos(direction), std::sin(direction), 0), side(-away.y(), away.x(), 0);
+  Vector3d place = uniform(3, 5.5) * away + aside * side;
+  CrashCar& first = scene.add(car, 0, 0, uniform(-M_PI, M_PI), 0);
+  CrashCar& second = scene.add(car, place.x(), place.y(), uniform(-M_PI, M_PI), 0);
+  const auto overlap = [&] { return measure_overlap(first, second).any > 0 || measure_overlap(second, first).any > 0; };
+  while (overlap()) second.motion.pose.position += 0.15 * away;
+  first.motion.velocity = uniform(2, 30) * away;
+  second.motion.velocity = -uniform(2, 30) * away;
+  for (CrashCar& each : scene.cars) {
+    const double stiffness = factor(0.5, 3), mass = factor(0.1, 10), friction = uniform(0, 0.8);
+    for (Material& material : each.parameters.region) {
+      material.young_modulus *= float(stiffness);
+      material.friction = float(friction);
+    }
+    each.mass.mass *= mass;
+    each.mass.inertia *= mass;
+    if (seed % 4 == 3) each.motion.angular_velocity.z() = uniform(-5, 5);
+  }
+  return scene;
 }
 
 }  // namespace crumple

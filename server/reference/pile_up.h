@@ -49,4 +49,8 @@ struct Overlap {
 };
 Overlap measure_overlap(const CrashCar&, const CrashCar&);
 
+// A crash of two cars of random mass (a tenth to ten times the car's), stiffness (half to three times), pose, speed and, in
+// every fourth, spin.
+PileUp random_crash(const std::shared_ptr<const Car>&, uint32_t seed);
+
 }  // namespace crumple

@@ -24,6 +24,7 @@ constexpr Range ranges[] = {
     {"hardening", 0, 1, "", true, false, of_region<&Material::hardening>},
     {"plastic_limit", 0, 3, "", true, false, of_region<&Material::plastic_limit>},
     {"drag", 0, 1e9f, " N s/m^4", true, false, of_region<&Material::drag>},
+    {"friction", 0, 2, "", true, false, of_region<&Material::friction>},
     {"distance_stiffness", 0, 1, "", true, false, of_region<&Material::distance_stiffness>},
     {"volume_stiffness", 0, 1, "", true, false, of_region<&Material::volume_stiffness>},
     {"plasticity", 0, 1, "", true, false, of_region<&Material::plasticity>},

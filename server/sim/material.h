@@ -29,6 +29,9 @@ struct Material {
   // Drag on a node against the car's frame, per volume that the node stands for, N s/m^4, [0, 1e9]. Drag takes energy, so the
   // default is the smallest with which the solver still converges.
   float drag = 5e3f;
+  // Coulomb friction on other cars, [0, 2]. Two materials that touch rub with the geometric mean of theirs. 0.6: dry
+  // steel on steel. An obstacle has its own friction.
+  float friction = 0.6f;
   // Used by `classic` only (thesis 3.6.3, 3.8), [0, 1]: stiffness of both constraints; share of a rest value kept per tick.
   float distance_stiffness = 1.0f;
   float volume_stiffness = 1.0f;

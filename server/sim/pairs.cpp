@@ -11,17 +11,16 @@
 namespace crumple {
 namespace {
 
-constexpr float friction_of_cars = 0.6f;  // bodywork on bodywork
-constexpr float smallest_cell = 0.08f;    // m, of the grid
-constexpr float cells_of_triangle = 4;    // most, along an axis
-constexpr int most_cells = 64;            // along an axis
-constexpr float smallest_area = 1e-10f;   // m^2: thinner triangles have no normal
-constexpr float same_distance = 1e-9f;    // m^2: a point is as near to two triangles where they meet
-constexpr float least_way = 1e-3f;        // m: a node that slides less far stays with its triangle
-constexpr float same_way = 0.5f;          // cosine between normals of one contact in successive sub-steps
-constexpr float born_inside = 0.05f;      // m: no contact lets a node come as deep
-constexpr size_t nodes_tested = 64;       // for being inside
-constexpr float at_surface = 1e-3f;       // m: nearer than this, the triangle's normal is better than the way to it
+constexpr float smallest_cell = 0.08f;   // m, of the grid
+constexpr float cells_of_triangle = 4;   // most, along an axis
+constexpr int most_cells = 64;           // along an axis
+constexpr float smallest_area = 1e-10f;  // m^2: thinner triangles have no normal
+constexpr float same_distance = 1e-9f;   // m^2: a point is as near to two triangles where they meet
+constexpr float least_way = 1e-3f;       // m: a node that slides less far stays with its triangle
+constexpr float same_way = 0.5f;         // cosine between normals of one contact in successive sub-steps
+constexpr float born_inside = 0.05f;     // m: no contact lets a node come as deep
+constexpr size_t nodes_tested = 64;      // for being inside
+constexpr float at_surface = 1e-3f;      // m: nearer than this, the triangle's normal is better than the way to it
 
 struct Nearest {
   Vec3 point, weight;
@@ -201,6 +200,16 @@ struct PairStep {
   double seconds;
 };
 
+// Of the materials at the node and at the triangle's nearest corner.
+float friction_of(const PairStep& step, const PairContact& contact) {
+  const auto of = [](const Member& car, uint32_t node) {
+    return car.input.parameters.region[car.input.model.node_region[node]].friction;
+  };
+  int nearest = 0;
+  contact.weight.maxCoeff(&nearest);
+  return std::sqrt(of(step.a, contact.node) * of(step.b, contact.corner[nearest]));
+}
+
 std::optional<PairContact> contact_of(const PairStep& step, const Search& search, uint32_t node, const Vec3& start,
                                       float radius) {
   const DeformableState &body = step.a.state.body, &other = step.b.state.body;
@@ -240,7 +249,7 @@ std::optional<PairContact> contact_of(const PairStep& step, const Search& search
   contact.constant = normal.dot(step.path.to.translation);
   if (before < 0) contact.constant += std::max(0.0f, -before - push_out_speed * float(step.seconds));
   contact.offset = step.path.to.translation - start + found.nearest.point;
-  contact.friction = friction_of_cars;
+  contact.friction = friction_of(step, contact);
   contact.before = before;
   contact.after = after;
   contact.motion = (end - start).norm();

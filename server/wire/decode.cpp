@@ -140,6 +140,7 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   take("hardening", from.hardening(), &Material::hardening);
   take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
   take("drag", from.drag(), &Material::drag);
+  take("friction", from.friction(), &Material::friction);
   take("distance_stiffness", from.distance_stiffness(), &Material::distance_stiffness);
   take("volume_stiffness", from.volume_stiffness(), &Material::volume_stiffness);
   take("plasticity", from.plasticity(), &Material::plasticity);

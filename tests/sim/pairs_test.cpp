@@ -99,6 +99,35 @@ TEST(Law, CarsThatTouchFindTheEnergyThatTheyBrought) {
   }
 }
 
+TEST(Law, RandomCrashesFindTheEnergyThatTheyBrought) {
+  const auto car = box_car({9, 4, 3}, 1200);
+  for (uint32_t seed = 0; seed < (sanitized ? 10 : 60); ++seed) {
+    SCOPED_TRACE(seed);
+    PileUp cars = random_crash(car, seed);
+    const double brought = cars.kinetic();
+    cars.run(0.5);
+    EXPECT_GT(cars.energy(), 0.97 * brought);
+    EXPECT_LT(cars.energy(), 1.05 * brought);  // corners of so coarse a box slip past each other
+    EXPECT_LT(cars.kinetic(), brought);
+  }
+}
+
+TEST(Law, CarsRubWithTheGeometricMeanOfTheirFriction) {
+  const auto sideways = [](float first, float second) {
+    PileUp scene = head_on(8, 8);
+    scene.cars[0].motion.velocity.y() = 6;
+    for (Material& material : scene.cars[0].parameters.region) material.friction = first;
+    for (Material& material : scene.cars[1].parameters.region) material.friction = second;
+    scene.run(0.1);
+    const Vector3d& impulse = scene.cars[1].impulse;
+    return impulse.y() / impulse.norm();
+  };
+  EXPECT_NEAR(sideways(0, 0.8f), sideways(0, 0), 1e-6);
+  EXPECT_NEAR(sideways(0.1f, 0.4f), sideways(0.2f, 0.2f), 1e-6);
+  EXPECT_GT(sideways(0.2f, 0.2f), sideways(0, 0) + 0.05);
+  EXPECT_GT(sideways(0.4f, 0.4f), sideways(0.2f, 0.2f) + 0.02);
+}
+
 TEST(Law, TwoCarsInEachOthersWayCrushAsInAFrictionlessWall) {
   for (const double v : {5.0, 8.0}) {  // faster, corners of the two equal boxes slip past each other
     PileUp wall = head_on(v, 0), pair = head_on(v, v);

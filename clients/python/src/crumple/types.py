@@ -77,6 +77,7 @@ class Parameters:
     hardening: float | None = None
     plastic_limit: float | None = None
     drag: float | None = None
+    friction: float | None = None  # on other cars
     distance_stiffness: float | None = None  # of the solver `classic`, like the next two
     volume_stiffness: float | None = None
     plasticity: float | None = None
