@@ -39,8 +39,9 @@ Hub::Hub(Net* net, Web* web, std::string root, bool keeps_assets)
 void Hub::begin() {
   for (const char* key : {"car/*/key/0", "car/*/delta/0", "host/*/reactions"})
     need(net_subscribe(net_, (root_ + key).c_str(), viewer::samples_waiting, viewer::sample_limit));
-  for (const char* key : {"host/*/poses", "host/*/obstacles", "health"})
-    need(net_subscribe(net_, (root_ + key).c_str(), 0, viewer::sample_limit));
+  for (const char* key : {"host/*/poses", "host/*/obstacles"})
+    need(net_subscribe_newest(net_, (root_ + key).c_str(), viewer::sample_limit, has_later_sequence));
+  need(net_subscribe(net_, (root_ + "health").c_str(), 0, viewer::sample_limit));
   for (const char* key : {"server", "owner/*", "car/*"}) need(net_watch(net_, (root_ + key).c_str()));
 }
 

@@ -39,6 +39,12 @@ enum { NET_LONGEST = 64 << 20, NET_KEYS = 8192 };  // most bytes of a received m
 // Otherwise a queue of `depth` samples over all keys. New samples are dropped and counted when the queue is full, when depth is
 // 0 and 4096 keys wait, or when 256 MiB wait in this session.
 int net_subscribe(Net*, const char* key_expression, uint32_t depth, size_t longest);
+// Whether the first sample is newer than the second. Must be quick and may be called on any thread. Data are aligned to 16
+// bytes.
+typedef int (*NetIsNewer)(const uint8_t* data, size_t size, const uint8_t* waiting, size_t waiting_size);
+// The same with depth 0, but only a newer sample replaces the one that waits. Another is refused and counted in
+// NetStats.overtaken.
+int net_subscribe_newest(Net*, const char* key_expression, size_t longest, NetIsNewer);
 // Preferred keys, comma separated, at most 256. Their samples are kept even if other keys fill a subscription of depth 0 or the
 // 256 MiB. The list replaces the previous one.
 int net_prefer(Net*, const char* keys);
@@ -76,8 +82,9 @@ typedef struct NetEvent {
 } NetEvent;
 
 // Waits until something arrives or timeout_us has passed (0: does not wait). Fills in up to `capacity` events, samples in the
-// order of their arrival. Returns their number, or a negative Status. Events are valid until the next net_poll of this Net.
-// Only one thread at a time may poll a Net; all other functions may be called from any thread.
+// order of their arrival, and at most one sample of each key of a subscription of depth 0. Returns their number, or a negative
+// Status. Events are valid until the next net_poll of this Net. Only one thread at a time may poll a Net; all other functions
+// may be called from any thread.
 int net_poll(Net*, NetEvent* events, uint32_t capacity, uint64_t timeout_us);
 
 // Answers a query, once (as an error reply if failed). An unanswered query times out at the asker. The answer has the
@@ -86,7 +93,7 @@ int net_reply(Net*, uint64_t ticket, const void* data, size_t size, int failed);
 
 typedef struct NetStats {
   uint64_t put, put_bytes, put_dropped;  // dropped: the session's own queue was full
-  uint64_t received, received_bytes, received_dropped, oversized, replaced;
+  uint64_t received, received_bytes, received_dropped, oversized, replaced, overtaken;
   uint64_t queries, queries_refused;
   uint64_t keys;            // keys on which it publishes
   uint64_t frames_refused;  // messages to this process's sessions that zenoh.patch refused

@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -26,6 +27,25 @@ const Table* verified(std::span<const uint8_t> bytes, uint32_t tables = 1'000'00
 template <class Table>
 const Table* verified(std::span<const std::byte> bytes, uint32_t tables = 1'000'000) {
   return verified<Table>(std::span(reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()), tables);
+}
+
+inline constexpr flatbuffers::voffset_t sequence_field = 4;  // the first field of Poses and of Obstacles
+// The sequence of a host's poses or obstacles, of which nothing else is verified; none if the bytes are no table.
+inline std::optional<uint64_t> sequence_of(std::span<const std::byte> bytes) {
+  struct Sequence : flatbuffers::Table {
+    bool Verify(flatbuffers::Verifier& verifier) const {
+      return VerifyTableStart(verifier) && VerifyField<uint64_t>(verifier, sequence_field, sizeof(uint64_t)) &&
+             verifier.EndTable();
+    }
+  };
+  const auto* table = verified<Sequence>(bytes);
+  if (!table) return std::nullopt;
+  return table->GetField<uint64_t>(sequence_field, 0);
+}
+
+// Whether a host's sample is newer than another: a NetIsNewer (io/net.h).
+inline int has_later_sequence(const uint8_t* data, size_t size, const uint8_t* other, size_t other_size) {
+  return sequence_of(std::as_bytes(std::span(data, size))) > sequence_of(std::as_bytes(std::span(other, other_size)));
 }
 
 template <class Table>

@@ -10,7 +10,7 @@
 namespace crumple {
 namespace {
 
-// Bytes of one sample. Between two ticks the transport keeps only the latest poses and the latest obstacles of each host. Poses
+// Bytes of one sample. Between two ticks the transport keeps only the newest poses and the newest obstacles of each host. Poses
 // of 1,000 cars have 200 kB.
 constexpr size_t sample_limit = size_t{1} << 20;
 // What a tick takes of each line. A command may copy a whole body (spawn, save, load): some ms at 50,000 nodes. A keyframe is
@@ -42,7 +42,7 @@ std::span<const std::byte> bytes_of(const NetEvent& event) {
 
 void Admission::open(Net* net, const World& world) {
   for (const char* what : {"host/*/poses", "host/*/obstacles"})
-    need(net_subscribe(net, (root_ + what).c_str(), 0, sample_limit));
+    need(net_subscribe_newest(net, (root_ + what).c_str(), sample_limit, has_later_sequence));
   need(net_queryable(net, (root_ + "asset").c_str(), query_limit, largest_upload + question_limit));
   need(net_queryable(net, (root_ + "car/*").c_str(), query_limit, command_limit));
   for (const char* what : {"car/*/key/*", "replica/world", "inputs"})
@@ -81,15 +81,7 @@ void Admission::take_sample(const NetEvent& event, const Key& key) {
     return;
   }
   const auto bytes = bytes_of(event);
-  Message message{event.key + root_.size(), {bytes.begin(), bytes.end()}};
-  latest_.keep(message);
-  // The transport gives the latest sample of each key, but another may come while a long line of events is taken.
-  const auto same_key = [&](const Message& other) { return other.key == message.key; };
-  const auto before = known ? std::find_if(samples_.begin(), samples_.end(), same_key) : samples_.end();
-  if (before != samples_.end())
-    *before = std::move(message);
-  else
-    samples_.push_back(std::move(message));
+  samples_.push_back({event.key + root_.size(), {bytes.begin(), bytes.end()}});
 }
 
 void Admission::take(Net* net, const NetEvent& event, const Key& key) {
@@ -135,6 +127,10 @@ Inbox Admission::admit(Net* net, const World& world) {
   std::move(samples_.begin(), samples_.end(), std::back_inserter(inbox));
   samples_.clear();
   return inbox;
+}
+
+void Admission::keep_latest(const TickResult& result, const Inbox& inbox) {
+  for (const size_t k : result.latest) latest_.keep(inbox[k]);
 }
 
 void Admission::forget_hosts(Net* net, const World& world) {

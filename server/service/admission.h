@@ -29,11 +29,14 @@ class Admission {
 
   // Subscribes to the hosts' messages and starts answering queries. Throws std::runtime_error.
   void open(Net*, const World&);
-  // Queues a query or a host's sample. Ignores other events.
+  // Queues a query or a host's sample. Ignores other events. A tick gets the events of one poll, in which each key has at most
+  // one sample.
   void take(Net*, const NetEvent&, const Key&);
   // Returns the inputs of the next tick: the waiting queries that it has time for, then the samples. Answers the queries that
   // need no tick.
   Inbox admit(Net*, const World&);
+  // Keeps the messages that the tick took from this inbox, for viewers that come late.
+  void keep_latest(const TickResult&, const Inbox&);
   // Call it once a second. Forgets hosts that have nothing in the scene any more: their latest messages, and the keys on which
   // the server published to them.
   void forget_hosts(Net*, const World&);

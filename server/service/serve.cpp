@@ -9,6 +9,7 @@
 #include <csignal>
 #include <cstdio>
 #include <iterator>
+#include <span>
 #include <stdexcept>
 #include <thread>
 #include <utility>
@@ -33,8 +34,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr size_t events_limit = 20'000;  // most events per tick; the rest waits in the transport's bounded queues
-constexpr uint32_t connect_ms = 10'000;  // a router must answer within this time
+constexpr uint32_t events_limit = 20'000;  // most events per tick; the rest waits in the transport's bounded queues
+constexpr uint32_t connect_ms = 10'000;    // a router must answer within this time
 // A tick that starts later than this share of its period counts as late, and the schedule shifts by the delay: a server that
 // cannot keep up slows down and never runs a burst of ticks to catch up.
 constexpr double late_share = 0.25;
@@ -55,7 +56,8 @@ struct Server {
   Inbox inbox;
   Outbox outbox;
   Work last_work;
-  uint64_t late = 0;
+  uint64_t late = 0, overtaken = 0;
+  std::vector<NetEvent> events = std::vector<NetEvent>(events_limit);
 
   explicit Server(const ServeOptions& o) : options(o) {}
   ~Server() {
@@ -182,23 +184,30 @@ void open_scene(Server& server) {
 
 // ---- a tick ----
 
+// Counts the samples that the transport refused for the reason for which a tick would have refused them.
+void count_overtaken(Server& server) {
+  NetStats stats;
+  net_stats(server.net, &stats);
+  const uint64_t more = stats.overtaken - std::exchange(server.overtaken, stats.overtaken);
+  if (more == 0) return;
+  count(*server.world,
+        {Reason::stale_sequence,
+         "poses or obstacles: another message of the host, with the same sequence or a later one, waits for the same tick"},
+        more);
+}
+
 // Takes the messages that have arrived when the tick is due, not earlier: until then the transport replaces a host's older
 // message by its newer one, so a host that sends faster than the ticks costs no more than any other.
 void collect(Server& server, Clock::time_point due) {
   std::this_thread::sleep_until(due);
-  NetEvent events[256];
-  size_t total = 0;
-  int got = 0;
-  do {
-    got = net_poll(server.net, events, 256, 0);
-    need(got);
-    for (int i = 0; i < got; ++i) {
-      const Key key = parse_key(events[i].key, server.root).value_or(Key{});
-      server.admission.take(server.net, events[i], key);
-      if (events[i].kind == NET_ALIVE) server.replaced |= is_replaced(server.owner, key);
-    }
-    total += static_cast<size_t>(got);
-  } while (got == 256 && total < events_limit);
+  const int got = net_poll(server.net, server.events.data(), events_limit, 0);
+  need(got);
+  for (const NetEvent& event : std::span(server.events).first(static_cast<size_t>(got))) {
+    const Key key = parse_key(event.key, server.root).value_or(Key{});
+    server.admission.take(server.net, event, key);
+    if (event.kind == NET_ALIVE) server.replaced |= is_replaced(server.owner, key);
+  }
+  count_overtaken(server);
   Inbox admitted = server.admission.admit(server.net, *server.world);
   std::move(admitted.begin(), admitted.end(), std::back_inserter(server.inbox));
 }
@@ -234,6 +243,7 @@ void run_tick(Server& server) {
   const uint64_t time = wall_ns();  // time of the outputs; a viewer's delay counts from here
   server.budget.learn(std::chrono::duration<double>(Clock::now() - begun).count(), result.work);
   server.last_work = result.work;
+  server.admission.keep_latest(result, server.inbox);
   const bool replicated = net_matching(server.net, (server.root + "replica/inputs").c_str()) == 1;
   uint64_t sum = replicated ? hash(*server.world) : 0;  // takes 0.3 ms with a thousand cars
   if (replicated) publish(server, inputs_message(number, server.inbox, sum));

@@ -32,8 +32,8 @@ uint64_t nanometres(double metres) { return uint64_t(std::llround(1e9 * std::min
 
 }  // namespace
 
-void count(World& world, const Refusal& refusal) {
-  ++world.tally.refusals[size_t(refusal.reason)];
+void count(World& world, const Refusal& refusal, uint64_t times) {
+  world.tally.refusals[size_t(refusal.reason)] += times;
   world.tally.last_refusal = refusal.sentence;
 }
 

@@ -19,8 +19,8 @@ struct MoreCount {
 // the caller could not start in time.
 Message health(World&, uint64_t late, const std::vector<MoreCount>& more_counts);
 
-// Counts a refusal.
-void count(World&, const Refusal&);
+// Counts a refusal, or several of the same kind.
+void count(World&, const Refusal&, uint64_t times = 1);
 // Number of refusals since the start, and the sentence of the last one, for the server's log.
 uint64_t refusal_count(const World&);
 const std::string& last_refusal(const World&);

@@ -114,7 +114,8 @@ std::optional<Refusal> take_command(World& world, const std::string& car, const 
 }  // namespace
 
 void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& asked) {
-  for (const Message& message : inbox) {
+  for (size_t k = 0; k < inbox.size(); ++k) {
+    const Message& message = inbox[k];
     ++world.tally.messages;
     const Key key = parse_key(message.key).value_or(Key{});
     const std::string id(key.id);
@@ -146,6 +147,7 @@ void read(World& world, const Inbox& inbox, Outbox& outbox, std::vector<Asked>& 
         refusal = Refusal{Reason::bad_key, "key " + printable(message.key) + key_rule};
     }
     if (refusal) count(world, *refusal);
+    if (!refusal && (key.channel == Channel::poses || key.channel == Channel::obstacles)) world.result.latest.push_back(k);
     answer(world, message.key, message.ticket, refusal, state, refusal && !command, outbox);
   }
 }

@@ -47,6 +47,7 @@ struct Work {
 // both lists; a car that was spawned and despawned within the tick is in none.
 struct TickResult {
   std::vector<std::string> spawned, despawned, replaced;
+  std::vector<size_t> latest;  // the messages of the inbox that are the latest poses or obstacles of their host now
   Work work;
 };
 

@@ -180,6 +180,8 @@ LoadOrder read(const schema::Load& from, Checker& check) {
 
 }  // namespace
 
+static_assert(int{schema::Poses::VT_SEQUENCE} == sequence_field && int{schema::Obstacles::VT_SEQUENCE} == sequence_field);
+
 std::optional<Refusal> decode(std::span<const std::byte> bytes, const Limits& limits, Intents& out) {
   Checker check{limits};
   const auto* from = checked<schema::Poses>(bytes, "poses", "Poses", limits.cars, check);

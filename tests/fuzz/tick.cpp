@@ -51,6 +51,7 @@ bool tick_run(Input input) {
       inbox.clear();
       if (--left == 0) break;
     } else if (Message message = message_of(part); message.key != "budget") {  // only the program sends this key
+      sequence_of(message.bytes);
       inbox.push_back(std::move(message));
     }
   }

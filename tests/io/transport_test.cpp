@@ -25,7 +25,7 @@ namespace crumple {
 namespace {
 
 // Rust's structs must have the layout of the structs in the header. The Rust code asserts the same numbers.
-static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 96 && sizeof(ReaderMessage) == 72);
+static_assert(sizeof(NetEvent) == 40 && sizeof(NetStats) == 104 && sizeof(ReaderMessage) == 72);
 
 using Clock = std::chrono::steady_clock;
 constexpr auto deadline = std::chrono::seconds(20);
@@ -149,6 +149,24 @@ TEST(Net, KeepsOnlyTheLatestSampleOfEachKeyWhereAsked) {
   }
   EXPECT_EQ(stats_of(client).replaced, 96u);
   EXPECT_TRUE(poll(client, 0).empty());
+}
+
+TEST(Net, KeepsTheNewestSampleByTheSubscribersOrderWhateverTheOrderOfArrival) {
+  const Session server = open_peer(), client = open_client(server);
+  const NetIsNewer longer = [](const uint8_t*, size_t size, const uint8_t*, size_t waiting) { return int(size > waiting); };
+  ASSERT_EQ(net_subscribe_newest(client.get(), "t/*", NET_LONGEST, longer), TRANSPORT_OK);
+  EXPECT_EQ(net_subscribe_newest(client.get(), "t/*", NET_LONGEST, nullptr), TRANSPORT_BAD_ARGUMENT);
+  ASSERT_TRUE(wait_for_subscriber(server, "t/a") && wait_for_subscriber(server, "t/b"));
+  for (const char* key : {"t/a", "t/b"})
+    for (const char* data : {"22", "", "1", "22", "55555", "333", "4444"}) ASSERT_EQ(put(server, key, data), TRANSPORT_OK);
+  ASSERT_TRUE(wait_until(server, [&] { return stats_of(client).received + stats_of(client).overtaken == 14; }));
+  const std::vector<Kept> events = poll(client);
+  ASSERT_EQ(events.size(), 2u);
+  for (const Kept& event : events) EXPECT_EQ(event.data, "55555") << event.key;
+  EXPECT_EQ(stats_of(client).replaced, 2u);
+  EXPECT_EQ(stats_of(client).overtaken, 10u);
+  ASSERT_EQ(put(server, "t/a", "1"), TRANSPORT_OK) << "nothing waits any more";
+  EXPECT_EQ(collect(client, 1).size(), 1u);
 }
 
 TEST(Net, RefusesAndCountsWhatABoundedQueueCannotHold) {

@@ -16,6 +16,7 @@ struct Source {
   size_t longest = 0;
   size_t waiting = 0;
   std::map<std::string, uint64_t> latest;  // if depth is 0: the number of the waiting sample by key
+  NetIsNewer is_newer = nullptr;
 };
 using SourceHandle = std::shared_ptr<Source>;
 
@@ -82,7 +83,7 @@ struct Net {
   size_t waiting_bytes = 0;
   std::map<uint64_t, Arrived> waiting;
   std::vector<Arrived> polled;
-  SourceHandle replies = std::make_shared<Source>(Source{"", replies_most, SIZE_MAX, 0, {}});
+  SourceHandle replies = std::make_shared<Source>(Source{"", replies_most, SIZE_MAX, 0, {}, nullptr});
   NetStats stats{};
   std::optional<Face> face;  // the router's data about this session
 };
@@ -182,6 +183,13 @@ bool push(Net& session, Arrived arrived) {
   if (full && arrived.kind != NET_REPLY_END) {
     ++refused;
     return false;
+  }
+  if (const auto found = source.latest.find(arrived.key); latest && source.is_newer && found != source.latest.end()) {
+    const Bytes& before = session.waiting.at(found->second).bytes;
+    if (!source.is_newer(arrived.bytes->data(), size, before->data(), before->size)) {
+      ++session.stats.overtaken;
+      return false;
+    }
   }
   const uint64_t number = ++session.numbers;
   if (latest) {
@@ -448,8 +456,8 @@ int call(Net* session, uint64_t what) {
   return TRANSPORT_OK;
 }
 
-SourceHandle source(const char* expression, uint32_t depth, size_t longest) {
-  return std::make_shared<Source>(Source{expression, depth, longest, 0, {}});
+SourceHandle source(const char* expression, uint32_t depth, size_t longest, NetIsNewer is_newer = nullptr) {
+  return std::make_shared<Source>(Source{expression, depth, longest, 0, {}, is_newer});
 }
 
 void take_query(Net& session, const SourceHandle& source, const AskingHandle& asking, const std::string& key,
@@ -643,11 +651,19 @@ int net_withdraw(Net* session, const char* prefix) {
   return TRANSPORT_OK;
 }
 
-int net_subscribe(Net* session, const char* expression, uint32_t depth, size_t longest) {
+int subscribe(Net* session, const SourceHandle& to) {
   if (const int status = call(session, 3)) return status;
-  session->subscribed.push_back(source(expression, depth, longest));
-  declare(*session, session->subscribed.back(), &Face::subscribed);
+  session->subscribed.push_back(to);
+  declare(*session, to, &Face::subscribed);
   return TRANSPORT_OK;
+}
+
+int net_subscribe(Net* session, const char* expression, uint32_t depth, size_t longest) {
+  return subscribe(session, source(expression, depth, longest));
+}
+
+int net_subscribe_newest(Net* session, const char* expression, size_t longest, NetIsNewer is_newer) {
+  return subscribe(session, source(expression, 0, longest, is_newer));
 }
 
 // The simulation never reaches the bounds of waiting data.

@@ -107,6 +107,36 @@ TEST(Decode, RefusesWhatIsNoTable) {
 }
 
 // Every entry of the list refers to the same table: 1 kB would be read as a million cars.
+TEST(Decode, FindsTheSequenceThatOrdersSamplesWithoutTheRest) {
+  const auto in = [](const Bytes& bytes) { return sequence_of(bytes); };
+  const auto later = [](const Bytes& a, const Bytes& b) {
+    return has_later_sequence(reinterpret_cast<const uint8_t*>(a.data()), a.size(), reinterpret_cast<const uint8_t*>(b.data()),
+                              b.size()) != 0;
+  };
+  const Bytes first = host::poses(0, {{"a"}}), last = host::poses(UINT64_MAX, {{"a"}}), none;
+  EXPECT_EQ(in(first), 0u) << "FlatBuffers leave a zero out";
+  EXPECT_EQ(in(last), UINT64_MAX);
+  EXPECT_EQ(in(host::obstacles(7, {{}})), 7u);
+  EXPECT_TRUE(later(last, first) && later(first, none));
+  EXPECT_FALSE(later(first, last) || later(last, last) || later(none, first) || later(none, none));
+  // No bytes make it read outside of them, and it agrees with `decode` about each message that is one.
+  const Bytes whole = host::obstacles(300, {{1}, {2}});
+  int taken = 0;
+  for (size_t k = 0; k < whole.size(); ++k) {
+    in(Bytes(whole.begin(), whole.begin() + ptrdiff_t(k)));
+    for (int bit = 0; bit < 8; ++bit) {
+      Bytes flipped = whole;
+      flipped[k] ^= std::byte(1 << bit);
+      const auto sequence = in(flipped);
+      ObstacleList list;
+      if (decode(flipped, {}, list)) continue;
+      EXPECT_EQ(sequence, list.sequence);
+      ++taken;
+    }
+  }
+  EXPECT_GT(taken, 0);
+}
+
 TEST(Decode, RefusesAForgedListBeforeItReadsIt) {
   host::Builder builder;
   const schema::Pose pose = pose_at(0);

@@ -1,7 +1,7 @@
 //! Events that have arrived and were not polled yet. zenoh's threads push, one poller takes, both briefly. Every source (a
 //! subscription, a queryable, ...) has its own bound: a queue that refuses new events, or one slot per key in which a newer
-//! sample replaces the older one (zenoh has no such conflation). All sources together have one bound in bytes. Events leave in
-//! the order of their arrival.
+//! sample replaces the older one (zenoh has no such conflation; a subscriber may say which sample is newer). All sources
+//! together have one bound in bytes. Events leave in the order of their arrival.
 
 use crate::bytes::Aligned;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -40,9 +40,13 @@ const MAX_LATEST_KEYS: usize = 4096;
 /// Most bytes of all that waits, four of the longest messages: a peer that sends long messages must not fill the memory either.
 const MAX_BYTES: usize = 256 << 20;
 
+/// Whether the first sample is newer than the second.
+pub type IsNewer = Box<dyn Fn(&[u8], &[u8]) -> bool + Send>;
+
 struct Source {
-    depth: usize,   // 0: latest only
-    longest: usize, // most bytes of a sample or query
+    depth: usize,              // 0: latest only
+    longest: usize,            // most bytes of a sample or query
+    is_newer: Option<IsNewer>, // None: the later arrival is newer
     waiting: usize,
     latest: HashMap<CString, u64>,
 }
@@ -73,6 +77,13 @@ impl State {
         }
         self.sources[source].is_full(key) || self.bytes + size > MAX_BYTES
     }
+
+    /// Whether a sample of the same key waits and this one is not newer.
+    fn is_overtaken(&self, source: SourceId, event: &Event) -> bool {
+        let source = &self.sources[source];
+        let (Some(is_newer), Some(number)) = (&source.is_newer, source.latest.get(&event.key)) else { return false };
+        !is_newer(event.data.as_slice(), self.waiting[number].1.data.as_slice())
+    }
 }
 
 impl Event {
@@ -89,6 +100,7 @@ pub struct Counts {
     pub received_dropped: AtomicU64, // samples, answers and reports
     pub oversized: AtomicU64,
     pub replaced: AtomicU64,
+    pub overtaken: AtomicU64, // not newer than the sample of their key that waits
     pub queries: AtomicU64,
     pub queries_refused: AtomicU64,
 }
@@ -121,17 +133,18 @@ pub struct Inbox {
 impl Inbox {
     pub fn new(max_replies: usize) -> Inbox {
         let inbox = Inbox::default();
-        inbox.add_source(max_replies, usize::MAX); // REPLIES
+        inbox.add_source(max_replies, usize::MAX, None); // REPLIES
         inbox
     }
 
-    pub fn add_source(&self, depth: usize, longest: usize) -> SourceId {
+    pub fn add_source(&self, depth: usize, longest: usize, is_newer: Option<IsNewer>) -> SourceId {
         let mut state = self.state.lock().unwrap();
         if let Some(source) = state.free.pop() {
-            (state.sources[source].depth, state.sources[source].longest) = (depth, longest);
+            let place = &mut state.sources[source];
+            (place.depth, place.longest, place.is_newer) = (depth, longest, is_newer);
             return source;
         }
-        state.sources.push(Source { depth, longest, waiting: 0, latest: HashMap::new() });
+        state.sources.push(Source { depth, longest, is_newer, waiting: 0, latest: HashMap::new() });
         state.sources.len() - 1
     }
 
@@ -168,6 +181,10 @@ impl Inbox {
         // The end of the answers always passes: the asker waits for it, and there is only one per question.
         if state.is_full(source, &event.key, event.size()) && event.kind != Kind::ReplyEnd {
             self.counts.refused(event.kind);
+            return false;
+        }
+        if state.is_overtaken(source, &event) {
+            self.counts.overtaken.fetch_add(1, Relaxed);
             return false;
         }
         let number = state.next;

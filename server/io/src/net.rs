@@ -6,7 +6,7 @@
 use crate::bytes::Aligned;
 use crate::config::{self, MAX_MESSAGE};
 use crate::fail::{BAD_ARGUMENT, CLOSED, DROPPED, Fail, IO, said};
-use crate::inbox::{Counts, Event, Inbox, Kind, REPLIES, SourceId};
+use crate::inbox::{Counts, Event, Inbox, IsNewer, Kind, REPLIES, SourceId};
 use crate::queue::{Next, Queue, Refused};
 use std::any::Any;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -234,9 +234,10 @@ impl Net {
         }
     }
 
-    pub fn subscribe(&self, key: &str, depth: u32, longest: usize) -> Result<(), Fail> {
+    /// is_newer: for depth 0.
+    pub fn subscribe(&self, key: &str, depth: u32, longest: usize, is_newer: Option<IsNewer>) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(depth as usize, longest);
+        let source = self.shared.inbox.add_source(depth as usize, longest, is_newer);
         self.ask(Ask::Subscribe(key, source), 0)
     }
 
@@ -256,7 +257,7 @@ impl Net {
 
     pub fn queryable(&self, key: &str, depth: u32, longest: usize) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(depth.max(1) as usize, longest);
+        let source = self.shared.inbox.add_source(depth.max(1) as usize, longest, None);
         self.ask(Ask::Queryable(key, source), 0)
     }
 
@@ -270,7 +271,7 @@ impl Net {
 
     pub fn watch(&self, key: &str) -> Result<(), Fail> {
         let key = key_expression(key)?;
-        let source = self.shared.inbox.add_source(MAX_REPORTS, 0);
+        let source = self.shared.inbox.add_source(MAX_REPORTS, 0, None);
         self.ask(Ask::Watch(key, source), 0)
     }
 

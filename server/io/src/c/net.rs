@@ -102,7 +102,24 @@ pub unsafe extern "C" fn net_withdraw(net: *mut Net, prefix: *const c_char) -> c
 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn net_subscribe(net: *mut Net, key: *const c_char, depth: u32, longest: usize) -> c_int {
-    let subscribe = || unsafe { borrow(net, "net")?.subscribe(text(key, "key_expression")?, depth, longest) };
+    let subscribe = || unsafe { borrow(net, "net")?.subscribe(text(key, "key_expression")?, depth, longest, None) };
+    done(subscribe())
+}
+
+type NetIsNewer = unsafe extern "C" fn(*const u8, usize, *const u8, usize) -> c_int;
+
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn net_subscribe_newest(
+    net: *mut Net,
+    key: *const c_char,
+    longest: usize,
+    is_newer: Option<NetIsNewer>,
+) -> c_int {
+    let subscribe = || unsafe {
+        let compare = is_newer.ok_or_else(|| missing("is_newer"))?;
+        let is_newer = move |a: &[u8], b: &[u8]| compare(a.as_ptr(), a.len(), b.as_ptr(), b.len()) != 0;
+        borrow(net, "net")?.subscribe(text(key, "key_expression")?, 0, longest, Some(Box::new(is_newer)))
+    };
     done(subscribe())
 }
 
@@ -222,6 +239,7 @@ pub struct NetStats {
     received_dropped: u64,
     oversized: u64,
     replaced: u64,
+    overtaken: u64,
     queries: u64,
     queries_refused: u64,
     keys: u64,
@@ -242,6 +260,7 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
         received_dropped: get(&came.received_dropped),
         oversized: get(&came.oversized),
         replaced: get(&came.replaced),
+        overtaken: get(&came.overtaken),
         queries: get(&came.queries),
         queries_refused: get(&came.queries_refused),
         keys: net.key_count() as u64,
@@ -251,4 +270,4 @@ pub unsafe extern "C" fn net_stats(net: *const Net, out: *mut NetStats) {
 }
 
 // The same numbers stand in tests/io/transport_test.cpp.
-const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 96);
+const _: () = assert!(size_of::<NetEvent>() == 40 && size_of::<NetStats>() == 104);
