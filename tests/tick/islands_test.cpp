@@ -209,13 +209,20 @@ TEST(Islands, AWorldSavedWhileTwoCarsTouchGoesOnBitForBit) {
   }
 }
 
-// A thousand cars in one place must not make a tick long: each notices at most `neighbour_limit` others.
+// Many cars in one place must not make a tick long: each notices at most `neighbour_limit` others.
 TEST(Islands, ManyCarsInOnePlaceNoticeFew) {
   Meeting meeting;
-  for (int k = 0; k < 100; ++k) meeting.add("car" + std::to_string(k), "game", 0.01 * k, 1);
-  meeting.drivers.clear();
-  meeting.step();
-  for (const auto& [id, car] : meeting.world->cars) EXPECT_LE(car.near.size(), neighbour_limit);
+  Inbox inbox;
+  std::vector<CarPose> poses;
+  for (int k = 0; k < 30; ++k) {
+    poses.push_back({"car" + std::to_string(k), pose_at(0.01 * k), {1, 0, 0}});
+    inbox.push_back({"car/" + poses.back().car, host::spawn(box()->hash, "game", poses.back().pose)});
+  }
+  inbox.push_back({"host/game/poses", host::poses(1, poses)});
+  meeting.step(inbox);
+  size_t most = 0;
+  for (const auto& [id, car] : meeting.world->cars) most = std::max(most, car.near.size());
+  EXPECT_EQ(most, neighbour_limit);
 }
 
 // Its way of half a second leads past more cars than it can notice. It hits the one that is nearest.
@@ -274,7 +281,9 @@ TEST(Islands, ACommandToACarThatTouchesAnotherIsGentle) {
     Inbox inbox;
     for (const Bytes& bytes : order(*meeting)) inbox.push_back({"car/right", bytes});
     meeting->step(inbox);
-    EXPECT_EQ(meeting->world->tally.refusals, decltype(meeting->world->tally.refusals){});
+    if (meeting->world->cars.contains("right")) {
+      EXPECT_EQ(refusal_count(*meeting->world), 0u) << last_refusal(*meeting->world);
+    }
     for (int k = 0; k < 30; ++k) {
       for (const auto& [id, car] : meeting->world->cars) {
         ASSERT_EQ(car.hashes.body, hash(car.body)) << id;
@@ -406,22 +415,27 @@ TEST(Islands, HealthCountsThemAndTheCarsOfTheLargest) {
 
 // The cars are solved together, so a cut that one of them does not get would save nothing.
 TEST(Islands, OfTenCarsKeepsTheBudgetByOnePlanForAll) {
-  const auto most_work = [](uint64_t budget) {
+  const auto run = [](uint64_t budget) {
     Meeting meeting;
     Inbox inbox = many_cars();
     inbox.push_back(budget_message(budget));
-    uint64_t most = 0;
-    for (int k = 0; k < 20; ++k) {
+    uint64_t most = 0, shed = 0;
+    for (int k = 0; k < 10; ++k) {
       tick(*meeting.world, inbox, meeting.outbox, 1);
       inbox.clear();
-      if (k > 0) most = std::max(most, meeting.world->tally.work);
+      for (auto& [id, car] : meeting.world->cars) car.importance = car.host == "one" ? 1 : 0.1f;
+      if (k < 2) continue;  // in the first tick nothing is known of the crash
+      most = std::max(most, meeting.world->tally.work);
+      shed += meeting.world->tally.shed;
+      EXPECT_EQ(meeting.car("0").sweeps, meeting.car("1").sweeps);
+      EXPECT_EQ(meeting.car("1").sweeps, meeting.car("2").sweeps);
     }
-    for (const auto& [id, car] : meeting.world->cars) EXPECT_LT(car.motion.velocity.norm(), 30);
-    return most;
+    return std::pair(most, shed);
   };
-  const uint64_t all = most_work(uint64_t{1} << 50), least = most_work(1);
-  std::printf("all %llu least %llu 0.8: %llu 0.6: %llu\n", (unsigned long long)all, (unsigned long long)least,
-              (unsigned long long)most_work(all * 8 / 10), (unsigned long long)most_work(all * 6 / 10));
+  const uint64_t all = run(uint64_t{1} << 50).first, budget = all * 9 / 10;
+  const auto [most, shed] = run(budget);
+  EXPECT_LE(most, budget);
+  EXPECT_GT(shed, 0u);
 }
 
 }  // namespace
