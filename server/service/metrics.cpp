@@ -24,6 +24,8 @@ constexpr std::array metrics = {
     Metric{"recoveries", "recoveries_total", "Ticks of a car that ended non-finite and were undone."},
     Metric{"work_most", "work_most", "Tet visits of the last second's busiest tick."},
     Metric{"work_shed", "work_shed_total", "Tet visits that the budget did not allow."},
+    Metric{"islands", "islands", "Islands of several cars that may touch, most in one tick of the last second."},
+    Metric{"largest_island", "largest_island_cars", "Cars of the last second's largest island."},
     Metric{"residual_mean_nm", "residual_mean_meters", "What the last sweeps still moved, over the last second's ticks.", 1e-9},
     Metric{"residual_worst_nm", "residual_worst_meters", "The same of the worst tick of a car.", 1e-9},
     Metric{"sent", "sent_messages_total", "Samples published."},

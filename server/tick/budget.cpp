@@ -1,5 +1,5 @@
 // The budget of a tick in tet visits. In: what each car's last tick took and left undone, and the importance from its host.
-// Out: how many sub-steps, and how many sweeps in each, every car may make in this tick. If the cars ask for more than the
+// Out: how many sub-steps, and how many sweeps in each, every island may make in this tick. If they ask for more than the
 // budget, it takes work away where the least accuracy is lost: first sweeps, one solver step (two sweeps) at a time, then half
 // of the sub-steps where the mesh is too coarse to show them. Law: below the budget every car makes what its parameters allow.
 #include "tick/budget.h"
@@ -32,17 +32,26 @@ struct Plan {
   int substeps, sweeps;  // substeps: in 1/60 s
 };
 
+// What the cars of an island ask for, and what remains of it. They are solved together, so they have one plan.
 struct Share {
-  Instance* car;
+  struct Part {
+    Instance* car;
+    double halved;  // sub-steps that deform() makes of one by halving
+    double awake, tets;
+  };
+  const Island* island;
   size_t order;    // breaks ties
-  Plan plan;       // first what the car asks for, then what remains of it
   double seconds;  // of a tick
-  double halved;   // sub-steps that deform() makes of one by halving
-  double awake, tets;
-  double loss = 0;  // importance * m of residual per tet visit saved by the next cut
+  Plan plan = {0, 0};
+  std::vector<Part> part = {};  // cars that will be solved
+  double loss = 0;              // importance * m of residual per tet visit saved by the next cut
 
   double work(const Plan& of) const {
-    return substep_count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+    double sum = 0;
+    for (const auto& [car, halved, awake, tets] : part) {
+      sum += substep_count(of.substeps, seconds) * halved * (of.sweeps * awake + substep_costs * tets) + tick_costs * tets;
+    }
+    return sum;
   }
 };
 
@@ -65,47 +74,65 @@ bool may_halve(const Instance& car, int substeps, double seconds) {
   return substep_travel * coarseness(halved) <= longest_way * double(car.car->mean_edge);
 }
 
+int fewest_sweeps(const Share& share, int substeps) {
+  int most = 0;
+  for (const Share::Part& part : share.part) most = std::max(most, fewest_sweeps(*part.car, substeps));
+  return most;
+}
+
+bool may_halve(const Share& share) {
+  return std::all_of(share.part.begin(), share.part.end(),
+                     [&](const Share::Part& part) { return may_halve(*part.car, share.plan.substeps, share.seconds); });
+}
+
+int most_sweeps(const Share& share) {
+  int most = 0;
+  for (const Share::Part& part : share.part) most = std::max(most, int(part.car->parameters.iterations));
+  return most;
+}
+
 // The plan after the next cut; the same plan if nothing can be cut.
 Plan less(const Share& share) {
-  const Instance& car = *share.car;
   const Plan now = share.plan;
-  const int least = fewest_sweeps(car, now.substeps);
+  const int least = fewest_sweeps(share, now.substeps);
   if (now.sweeps > least) return {now.substeps, now.sweeps - std::min(step, now.sweeps - least)};
-  if (!may_halve(car, now.substeps, share.seconds)) return now;
-  const int sweeps = std::min(fewest_sweeps(car, now.substeps / 2), int(car.parameters.iterations));
+  if (!may_halve(share)) return now;
+  const int sweeps = std::min(fewest_sweeps(share, now.substeps / 2), most_sweeps(share));
   return {now.substeps / 2, std::max(now.sweeps, sweeps)};
 }
 
 double saved(const Share& share) { return share.work(share.plan) - share.work(less(share)); }
 
-// The plan that the car asks for.
-Share ask(const World& world, Instance& car, size_t order, double worst, double& residual) {
+// Adds a car to the share of its island, and the plan that it asks for. Returns its residual with this plan.
+double ask(const World& world, Instance& car, double worst, Share& share) {
   const int most = car.parameters.iterations, substeps = car.parameters.substeps;
   const StepResult& last = car.result;
-  const double tets = double(car.car->model.tet.size()), seconds = 1 / world.rate;
+  const double tets = double(car.car->model.tet.size()), all = double(sweep_work(car.car->model));
   const double halved =
-      last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, seconds) : 1;
-  const double all = double(sweep_work(car.car->model));
-  Share share{&car, order, {substeps, 0}, seconds, std::max(1.0, halved), all, tets};
-  if (last.sweeps == 0) {
-    share.plan.sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
-    residual = worst;
-    return share;
+      last.substeps > 0 && car.substeps > 0 ? double(last.substeps) / substep_count(car.substeps, 1 / world.rate) : 1;
+  Share::Part& part = share.part.emplace_back(Share::Part{&car, std::max(1.0, halved), all, tets});
+  int sweeps = car.parameters.tolerance > 0 ? std::min(most, usual) : most;
+  double residual = worst;
+  if (last.sweeps > 0) {
+    part.awake = std::min(all, double(last.work) / last.sweeps);  // the car may have changed its mesh
+    if (car.fresh > 0) part.awake = all;
+    const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
+    // A car that used all its sweeps would have made more. Allowing twice as many shows how many more.
+    sweeps = std::min(most, used >= car.sweeps ? 2 * used : used);
+    if (car.fresh > 0) sweeps = std::max(sweeps, std::min(most, usual));
+    residual = double(last.residual) * car.substeps / substeps;  // as if for the shorter way of a full sub-step
+    for (int k = used; k < sweeps; k += step) residual /= worth;
   }
-  share.awake = std::min(all, double(last.work) / last.sweeps);  // the car may have changed its mesh
-  if (car.fresh > 0) share.awake = all;
-  const int used = int((last.sweeps + last.substeps - 1) / last.substeps);
-  // A car that used all its sweeps would have made more. Allowing twice as many shows how many more.
-  share.plan.sweeps = std::min(most, used >= car.sweeps ? 2 * used : used);
-  if (car.fresh > 0) share.plan.sweeps = std::max(share.plan.sweeps, std::min(most, usual));
-  residual = double(last.residual) * car.substeps / substeps;  // as if for the shorter way of a full sub-step
-  for (int k = used; k < share.plan.sweeps; k += step) residual /= worth;
-  return share;
+  share.plan = {std::max(share.plan.substeps, substeps), std::max(share.plan.sweeps, sweeps)};
+  return residual;
 }
 
-void allow(Instance& car, const Plan& plan) {
-  car.substeps = uint16_t(plan.substeps);
-  car.sweeps = uint16_t(plan.sweeps);
+// Also to cars at rest: what touches them may wake them within the tick.
+void allow(const Share& share) {
+  for (Instance* car : *share.island) {
+    car->substeps = uint16_t(std::min(share.plan.substeps, int(car->parameters.substeps)));
+    car->sweeps = uint16_t(std::min(share.plan.sweeps, int(car->parameters.iterations)));
+  }
 }
 
 }  // namespace
@@ -120,26 +147,37 @@ double crash_work(const World& world, const Instance& car, const Car& level) {
          (substep_count(car.parameters.substeps, 1 / world.rate) * (sweeps + substep_costs) + tick_costs);
 }
 
-void ration(World& world, const std::vector<Instance*>& cars) {
+void ration(World& world, const std::vector<Island>& islands) {
   world.tally.shed = 0;
   std::vector<Share> shares;
   double asked = 0, worst = 0;
-  for (const Instance* car : cars) worst = std::max(worst, double(car->result.residual));
-  if (worst == 0) worst = 1;
-  for (size_t i = 0; i < cars.size() && world.budget > 0; ++i) {
-    Instance& car = *cars[i];
-    if (car.parameters.solver != Solver::nodal || (car.body.settled && car.fresh == 0)) continue;
-    double residual = 0;
-    Share share = ask(world, car, i, worst, residual);
-    asked += share.work(share.plan);
-    share.loss = double(car.importance) * residual * worth / std::max(1.0, saved(share));
-    shares.push_back(share);
+  for (const Island& island : islands) {
+    for (const Instance* car : island) worst = std::max(worst, double(car->result.residual));
   }
-  for (Instance* car : cars) allow(*car, {car->parameters.substeps, car->parameters.iterations});
+  if (worst == 0) worst = 1;
+  for (size_t i = 0; i < islands.size() && world.budget > 0; ++i) {
+    Share share{&islands[i], i, 1 / world.rate};
+    double loss = 0;
+    for (Instance* car : islands[i]) {
+      if (car->parameters.solver != Solver::nodal || (car->body.settled && car->fresh == 0)) continue;
+      loss += double(car->importance) * ask(world, *car, worst, share);
+    }
+    if (share.part.empty()) continue;
+    asked += share.work(share.plan);
+    share.loss = loss * worth / std::max(1.0, saved(share));
+    shares.push_back(std::move(share));
+  }
+  for (const Island& island : islands) {
+    for (Instance* car : island) {
+      car->substeps = car->parameters.substeps;
+      car->sweeps = car->parameters.iterations;
+    }
+  }
   double left = asked - double(world.budget);
   if (left <= 0) return;
-  for (Share& share : shares) {
-    if (share.car->fresh > 0) allow(*share.car, share.plan);
+  const auto is_fresh = [](const Share::Part& part) { return part.car->fresh > 0; };
+  for (const Share& share : shares) {
+    if (std::any_of(share.part.begin(), share.part.end(), is_fresh)) allow(share);
   }
   std::erase_if(shares, [](const Share& share) { return saved(share) <= 0; });
   const auto later = [](const Share& a, const Share& b) { return a.loss != b.loss ? a.loss > b.loss : a.order > b.order; };
@@ -149,7 +187,7 @@ void ration(World& world, const std::vector<Instance*>& cars) {
     Share& share = shares.back();
     const double taken = saved(share);
     share.plan = less(share);
-    allow(*share.car, share.plan);
+    allow(share);
     left -= taken;
     world.tally.shed += uint64_t(taken);
     if (const double next = saved(share); next > 0) {

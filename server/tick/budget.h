@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "tick/islands.h"
 #include "tick/state.h"
 
 namespace crumple {
@@ -15,7 +16,8 @@ Message budget_message(uint64_t visits);
 // Tet visits that a car's last tick took, and that a tick would take if the car crashed on this level.
 double work_of(const Model&, const StepResult&);
 double crash_work(const World&, const Instance&, const Car& level);
-// Sets the sub-steps and sweeps of each car for this tick.
-void ration(World&, const std::vector<Instance*>&);
+// Sets the sub-steps and sweeps of each car for this tick. All cars of an island get the same cuts, because they are solved
+// together.
+void ration(World&, const std::vector<Island>&);
 
 }  // namespace crumple

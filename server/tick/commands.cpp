@@ -55,6 +55,7 @@ std::optional<Refusal> spawn(World& world, const std::string& id, const SpawnOrd
   car.body = make_body(car.car->model);
   car.hashes.log = hash(car.log);
   car.motion.pose = order.pose;
+  car.placed = true;
   world.result.spawned.push_back(id);
   return std::nullopt;
 }
@@ -71,6 +72,7 @@ std::optional<Refusal> obey_order(World& world, const Target& target, DespawnOrd
 
 std::optional<Refusal> obey_order(World&, const Target& target, RepairOrder&& order, Bytes&) {
   repair(target.car.car->model, order.amount, target.car.body);
+  target.car.placed = true;
   renew(target.car);
   return std::nullopt;
 }
@@ -85,6 +87,7 @@ std::optional<Refusal> obey_order(World&, const Target& target, ParametersOrder&
   Parameters parameters = target.car.parameters;
   apply(order, parameters);
   if (auto sentence = out_of_range(parameters)) return Refusal{Reason::out_of_range, "parameters." + *sentence};
+  if (parameters.solver != target.car.parameters.solver) target.car.placed = true;  // `classic` touches no cars
   target.car.parameters = parameters;
   return std::nullopt;
 }
@@ -110,6 +113,7 @@ std::optional<Refusal> obey_order(World& world, const Target& target, LoadOrder&
   body = std::move(order.state);
   body.step.assign(body.node.size(), Vec3::Zero());
   measure_reach(model, body);
+  target.car.placed = true;
   renew(target.car);
   return std::nullopt;
 }
@@ -123,6 +127,7 @@ std::optional<Refusal> obey_order(World& world, const Target& target, ReplaceOrd
   car.level_tick = 0;
   car.body = make_body(car.car->model);
   car.result = {};
+  car.placed = true;
   renew(car);
   if (std::find(world.result.replaced.begin(), world.result.replaced.end(), target.id) == world.result.replaced.end())
     world.result.replaced.push_back(target.id);

@@ -66,13 +66,15 @@ Message health(World& world, uint64_t late, const std::vector<MoreCount>& more_c
       {"recoveries", tally.recoveries, 0},
       {"work_most", tally.most_work, world.budget},
       {"work_shed", tally.work_shed, 0},
+      {"islands", tally.most_islands, 0},
+      {"largest_island", tally.largest_island, 0},
       {"residual_mean_nm", nanometres(tally.solved > 0 ? tally.residual_sum / double(tally.solved) : 0), 0},
       {"residual_worst_nm", nanometres(tally.residual_worst), 0},
   };
   for (const auto& [name, value, limit] : more_counts) report.counts.push_back({name, value, limit});
   for (size_t i = 0; i < reason_count; ++i) report.refusals.push_back({reason_names[i], tally.refusals[i], 0});
   report.told = told_lately(world);
-  tally.ticks = tally.solved = tally.most_work = 0;
+  tally.ticks = tally.solved = tally.most_work = tally.most_islands = tally.largest_island = 0;
   tally.residual_sum = tally.residual_worst = 0;
   tally.sum = tally.worst = {};
   return {"health", encode_health(report)};

@@ -58,7 +58,56 @@ bool beyond(const Instance& a, const Instance& b, double near) {
          ((a.body.low - center - extent).array() > float(near)).any();
 }
 
+// How near the spheres around two cars come to each other within this tick, m; below 0: they overlap.
+double gap_of(const World& world, const Instance& a, const Instance& b) {
+  const Vector3d way = center_of(b) - center_of(a), change = (b.motion.velocity - a.motion.velocity) / world.rate;
+  const double squared = change.squaredNorm();
+  const double share = squared > 0 ? std::clamp(-way.dot(change) / squared, 0.0, 1.0) : 0;
+  return (way + share * change).norm() - double(a.body.reach) - double(b.body.reach);
+}
+
+// The cars that come nearest to one car, nearest first; of equally near ones the lower ids.
+class Nearest {
+ public:
+  void add(double gap, uint32_t car) {
+    const std::pair<double, uint32_t> one(gap, car);
+    if (cars_.size() == neighbour_limit) {
+      if (cars_.back() < one) return;
+      cars_.pop_back();
+    }
+    cars_.insert(std::lower_bound(cars_.begin(), cars_.end(), one), one);
+  }
+  bool has(uint32_t car) const {
+    return std::any_of(cars_.begin(), cars_.end(), [&](const auto& one) { return one.second == car; });
+  }
+  const std::vector<std::pair<double, uint32_t>>& cars() const { return cars_; }
+
+ private:
+  std::vector<std::pair<double, uint32_t>> cars_;
+};
+
 }  // namespace
+
+void forget_placed(const std::vector<Instance*>& cars) {
+  std::vector<uint64_t> placed;
+  for (const Instance* car : cars) {
+    if (car->placed) placed.push_back(car->key);
+  }
+  if (placed.empty()) return;
+  std::sort(placed.begin(), placed.end());
+  for (Instance* car : cars) {
+    PairMemory& memory = car->body.pairs;
+    const auto is_forgotten = [&](uint64_t key) {
+      return car->placed || std::binary_search(placed.begin(), placed.end(), key);
+    };
+    const auto passes = [&](uint64_t key) { return std::binary_search(memory.passing.begin(), memory.passing.end(), key); };
+    const size_t touches =
+        std::erase_if(memory.touch, [&](const PairMemory::Touch& touch) { return is_forgotten(touch.partner); });
+    const size_t neighbours = std::erase_if(memory.near, [&](uint64_t key) { return is_forgotten(key) && !passes(key); });
+    if (touches + neighbours > 0) car->hashes.body = hash(car->body);
+  }
+  for (Instance* car : cars) car->placed = false;
+}
 
 uint64_t key_of(const std::string& id) { return XXH64(id.data(), id.size(), 0); }
 
@@ -73,18 +122,25 @@ void find_neighbours(const World& world, const std::vector<Instance*>& cars) {
   }
   std::sort(reach.begin(), reach.end(),
             [](const Reach& a, const Reach& b) { return a.low.x() != b.low.x() ? a.low.x() < b.low.x() : a.car < b.car; });
+  std::vector<Nearest> nearest(cars.size());
   for (size_t i = 0; i < reach.size(); ++i) {
-    Instance& a = *cars[reach[i].car];
+    const Instance& a = *cars[reach[i].car];
     for (size_t k = i + 1; k < reach.size() && reach[k].low.x() <= reach[i].high.x(); ++k) {
-      Instance& b = *cars[reach[k].car];
+      const Instance& b = *cars[reach[k].car];
       if ((stands(a) && stands(b)) || !reach[i].meets(reach[k])) continue;
-      if (a.near.size() >= neighbour_limit || b.near.size() >= neighbour_limit) continue;
-      a.near.push_back(reach[k].car);
-      b.near.push_back(reach[i].car);
-      a.idle = b.idle = false;
+      const double gap = gap_of(world, a, b);
+      nearest[reach[i].car].add(gap, reach[k].car);
+      nearest[reach[k].car].add(gap, reach[i].car);
     }
   }
-  for (Instance* car : cars) std::sort(car->near.begin(), car->near.end());
+  for (uint32_t k = 0; k < cars.size(); ++k) {
+    for (const auto& [gap, other] : nearest[k].cars()) {
+      if (nearest[other].has(k)) cars[k]->near.push_back(other);
+    }
+    if (cars[k]->near.empty()) continue;
+    std::sort(cars[k]->near.begin(), cars[k]->near.end());
+    cars[k]->idle = false;
+  }
 }
 
 void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vector<Obstacle>& out) {

@@ -54,6 +54,7 @@ struct Instance {
   // True if the last tick left the car unchanged and none of its inputs has changed since, so this tick can be skipped.
   bool idle = false;
   // Used within one tick:
+  bool placed = false;  // a command made its body anew, or its host put it elsewhere: no crash brought it to where it is
   std::optional<Intent> intent;  // the latest; consumed
   Ahead ahead = Ahead::nothing;
   uint64_t key = 0;                       // names the car to those that it touches: hash of its id
@@ -86,9 +87,10 @@ struct Tally {
   uint64_t shed = 0, work_shed = 0;  // tet visits asked for but not allowed: in the last tick, in all ticks
   uint64_t work = 0;                 // tet visits of the last tick
   // Since the last health:
-  uint64_t most_work = 0;                       // of one tick
-  double residual_sum = 0, residual_worst = 0;  // m, over the solved cars
-  uint64_t solved = 0;                          // car ticks
+  uint64_t most_work = 0;                         // of one tick
+  uint64_t most_islands = 0, largest_island = 0;  // islands of several cars in one tick; cars of the largest one
+  double residual_sum = 0, residual_worst = 0;    // m, over the solved cars
+  uint64_t solved = 0;                            // car ticks
   uint64_t ticks = 0;
   StageTimes now{}, sum{}, worst{};
 };

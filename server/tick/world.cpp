@@ -55,7 +55,9 @@ void receive(const World& world, Instance& car) {
   const PairMemory& pairs = car.body.pairs;
   const bool touching =
       (car.touched_tick != 0 && car.touched_tick + 1 == world.tick) || pairs.near.size() > pairs.passing.size();
+  const Eigen::Vector3d before = car.motion.pose.position;
   car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
+  if ((car.motion.pose.position - before).norm() > teleport) car.placed = true;
   car.intent.reset();
 }
 
@@ -214,6 +216,16 @@ void tally_up(const std::vector<Instance*>& cars, Tally& tally) {
   tally.work_shed += tally.shed;
 }
 
+void count_islands(const std::vector<Island>& islands, Tally& tally) {
+  uint64_t several = 0;
+  for (const Island& island : islands) {
+    if (island.size() < 2) continue;
+    ++several;
+    tally.largest_island = std::max(tally.largest_island, uint64_t(island.size()));
+  }
+  tally.most_islands = std::max(tally.most_islands, several);
+}
+
 void open_arena(World& world, int threads) {
   if (world.arena && world.arena_threads == threads) return;
   world.arena.emplace(threads);
@@ -242,11 +254,13 @@ void advance_cars(World& world, int threads) {
     cars.push_back(&car);
   }
   for_each(world, cars, 16, [&](Instance* car, Worker&) { receive_car(world, *car); });
+  forget_placed(cars);
   find_neighbours(world, cars);
   for_each(world, cars, 16, [&](Instance* car, Worker& worker) { prepare_car(world, cars, *car, worker); });
   for_each(world, choose_levels(world, cars), 1, [&](Instance* car, Worker&) { change_level(world, *car); });
-  ration(world, cars);
   const std::vector<Island> islands = find_islands(world, cars);
+  count_islands(islands, world.tally);
+  ration(world, islands);
   for_each(world, islands, 1, [&](const Island& island, Worker& worker) { advance_island(world, island, worker); });
   for (Worker& worker : world.workers) {
     for (size_t i = 0; i < worker.times.size(); ++i) world.tally.now[i] += worker.times[i];
