@@ -437,10 +437,10 @@ bool begins_inside(const Member& car, const Member& other, const Relative& frame
   const bool passes = has(memory.passing);
   if (has(memory.near) && !passes) return false;
   const Bounds box{other.state.body.low, other.state.body.high};
-  const std::vector<uint32_t>& nodes = car.input.model.boundary->node;
+  const std::vector<Vec3>& nodes = car.state.body.node;  // inner ones too: a twin's boundary lies on the other's
   const size_t step = std::max<size_t>(1, nodes.size() / nodes_tested);
   for (size_t k = 0; k < nodes.size(); k += step) {
-    const Vec3 p = at(frame, car.state.body.node[nodes[k]]);
+    const Vec3 p = at(frame, nodes[k]);
     if (!box.has(p)) continue;
     const auto within = passes ? is_inside : is_deep;  // once they pass, until they have parted
     if (within(p, *other.input.model.boundary, other.state.body.node)) return true;

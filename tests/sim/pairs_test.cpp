@@ -52,7 +52,7 @@ std::vector<Scene> scenes() {
   all.push_back({"queue", std::move(queue)});
   PileUp unlike;
   unlike.add(box_car({5, 3, 2}, 800), -half - 0.025, 0, 0, 20);
-  unlike.add(box_car({9, 4, 3}, 3000, 5), 2.5 + 0.025, 0.3, pi - 0.2, 5);
+  unlike.add(box_car({9, 4, 3}, 3000, 5), 2.7, 0.3, pi - 0.2, 5);
   for (Material& material : unlike.cars[1].parameters.region) material.young_modulus *= 2;
   all.push_back({"unlike", std::move(unlike)});
   return all;

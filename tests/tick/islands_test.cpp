@@ -179,6 +179,16 @@ TEST(Islands, ACarThatIsPassedStaysAsItIs) {
   EXPECT_EQ(meeting.car("parked").hashes.body, before) << "it has forgotten who was near";
 }
 
+TEST(Islands, CarsSpawnedAtOnePoseCanPart) {
+  Meeting meeting;
+  meeting.add("a", "one", 0, 0);
+  meeting.add("b", "two", 0, 3);
+  meeting.run(120);
+  EXPECT_GT(meeting.car("b").motion.pose.position.x(), 5);
+  EXPECT_EQ(meeting.car("a").touched_tick, 0u);
+  EXPECT_EQ(dent(meeting.car("a")), 0);
+}
+
 TEST(Islands, CarsSpawnedInsideEachOtherPassThroughUntilTheyHaveParted) {
   Meeting meeting;
   meeting.add("a", "one", 0, 0);
