@@ -543,15 +543,6 @@ TEST_F(Recorded, WhatIsMissingAtTheEndIsNeitherCalledWholeNorIdentical) {
   EXPECT_NE(recovered.text.find("recovered: "), std::string::npos) << recovered.text;
 }
 
-// Recordings from before we wrote an end of our own.
-TEST_F(Recorded, AnOlderRecordingIsVerifiedAsBeforeAndItIsSaid) {
-  const Outcome outcome = run({"replay", in_repository("recordings/built_in_roof_drop.mcap"), "--verify"});
-  EXPECT_EQ(outcome.code, 0) << outcome.text;
-  EXPECT_NE(outcome.text.find("every tick identical"), std::string::npos) << outcome.text;
-  EXPECT_NE(outcome.text.find("an older program recorded it"), std::string::npos) << outcome.text;
-  EXPECT_NE(outcome.text.find(", whether inputs are missing"), std::string::npos) << outcome.text;
-}
-
 TEST_F(Recorded, AKillWithinTheFirstSecondsLosesASecondAtMostAndNothingOfTheHead) {
   for (const uint64_t ticks : {uint64_t{30}, uint64_t{90}, uint64_t{150}, uint64_t{200}}) {
     const std::string file = path(("killed" + std::to_string(ticks) + ".mcap").c_str());
