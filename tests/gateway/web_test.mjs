@@ -384,7 +384,7 @@ async function page(path, keep) {
     await opened.keyboard.press(key);
     await opened.waitForFunction((count) => !document.querySelector("#choice").open && document.querySelectorAll("#names:not([hidden]) span").length === count, names);
   }
-  await opened.waitForFunction(() => /surfaces of 5786 and 1259 vertices/.test(document.querySelector("#comparison").textContent));
+  await opened.waitForFunction(() => /surfaces of 5799 and 1259 vertices/.test(document.querySelector("#comparison").textContent));
   await opened.click("#close");
   assert.ok(await opened.isHidden("#player"));
   assert.deepEqual(console_, [], "the console is not clean");
