@@ -270,7 +270,8 @@ TEST_F(Recorded, RecoverKeepsWhatIsWholeOfAFileCutOrDamagedAnywhere) {
     EXPECT_FALSE(out.cut);
     EXPECT_EQ(out.end, 0);
     EXPECT_EQ(out.last_tick(), in.last_tick());
-    const auto head_end = std::find(all.metadata.begin(), all.metadata.end(), "messages");  // there the record of the end begins
+    const auto head_end =
+        std::find(all.metadata.begin(), all.metadata.end(), "messages");  // there the record of the end begins
     ASSERT_GE(out.metadata.end() - out.metadata.begin(), head_end - all.metadata.begin());
     EXPECT_TRUE(std::equal(all.metadata.begin(), head_end, out.metadata.begin()));
     EXPECT_EQ(out.attachments, all.attachments);
