@@ -219,7 +219,7 @@ def page(cars, skipped, levels, picture):
         total = sum(seconds for _, seconds in levels)
         rows.append((f"{len(levels)} levels of {LEVELS_OF}, CPU together", f"<= {LEVELS_BAR} s", f"{total:.1f} s"))
         found += [f"- The levels of {LEVELS_OF} take {total:.1f} s of CPU, bar {LEVELS_BAR} s"] if total > LEVELS_BAR else []
-    yield table(["", "bar", "measured"], rows)
+    yield table(["", "goal", "measured"], rows)
     found += [f"- {name} ({package}) was not baked: {why}" for name, package, why in skipped]
     yield "\n## Misses\n\n" + ("\n".join(found) if found else "None.") + "\n"
     yield "## Pictures\n\nFrom left to right: the surface from the side, the surface from the front, and a lengthwise cut. Tets are blue, those that are held orange.\n"
