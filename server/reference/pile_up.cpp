@@ -49,8 +49,11 @@ void PileUp::tick(double seconds) {
   island.reserve(cars.size());
   for (size_t k = 0; k < cars.size(); ++k) {
     CrashCar& car = cars[k];
-    island.push_back(
-        {{car.car->model, car.parameters, car.mass, obstacles, seconds}, k + 1, *car.scratch, {car.body, car.motion}});
+    car.motion.velocity += seconds * car.pull;
+    island.push_back({{car.car->model, car.parameters, car.mass, obstacles, seconds, car.pull},
+                      k + 1,
+                      *car.scratch,
+                      {car.body, car.motion}});
   }
   deform(island);
   for (size_t k = 0; k < cars.size(); ++k) {

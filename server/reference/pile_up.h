@@ -15,6 +15,7 @@ struct CrashCar {
   Mass mass;
   DeformableState body;
   Motion motion;
+  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // acceleration by other forces than contacts, m/s^2
   ScratchHandle scratch;
   StepResult last;                                    // of the last tick
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();  // of all ticks, N s

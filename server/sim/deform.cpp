@@ -125,6 +125,11 @@ void step(std::span<Member> island, PairGroup& group, const Substep& now, Timer*
   }
 }
 
+// Accelerates the cars by their hosts' own forces for some seconds.
+void pull(std::span<Member> island, double seconds) {
+  for (Member& member : island) member.state.motion.velocity += seconds * member.input.pull;
+}
+
 void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
   int count = 1;
   for (const Member& member : island) {
@@ -136,9 +141,12 @@ void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
     auto& [body, motion, result, spring] = member.state;
     spring = std::max(0.0, body.stored - body.owed);
   }
+  pull(island, -island.front().input.seconds);
   for (int k = 0; k < count; ++k) {
     const Substep now{k * h, h};
+    pull(island, 0.5 * h);
     for (PairGroup& group : meet(island, now, timer)) step(island, group, now, timer);
+    pull(island, 0.5 * h);
   }
   island.front().scratch.team.leave();
   for (Member& member : island) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "sim/scratch.h"
 
@@ -12,6 +13,8 @@ using Eigen::Vector3d;
 
 constexpr double least_share = 0.5, most_share = 2;  // of the mean impulse
 constexpr double most_correction = 0.5;              // of the largest impulse of a group's cars
+constexpr double slow_way = 0.3;                     // m/s: slower contacts lose way, so that what is pulled down comes to rest
+constexpr double calm_seconds = 0.02;                // in which they do
 
 // World axes; `angular` about the centre of mass. A force (N) and its moment (N m), or an impulse (N s, N m s).
 struct Load {
@@ -187,13 +190,14 @@ Vector3d velocity_at(const Member& car, const Load& impulse, const Vector3d& poi
 }
 
 // Impulses against the way of the cars over one another and over obstacles, in proportion to the forces: equal and opposite for
-// the two sides of a contact. Their size is for the caller to choose.
+// the two sides of a contact. Their size is for the caller to choose. slow: m/s, contacts count less the faster they are, and
+// not at all from this speed on.
 std::vector<Load> against_the_way(std::span<Member> island, const PairGroup& group, const Substep& now,
-                                  const std::vector<Load>& impulse) {
+                                  const std::vector<Load>& impulse, double slow = std::numeric_limits<double>::infinity()) {
   std::vector<Load> out(group.member.size());
   double forces = 0;
   const auto add = [&](size_t k, const Vector3d& at, const Vector3d& way, double force) {
-    const Vector3d linear = -force * way;
+    const Vector3d linear = -force * std::max(0.0, 1 - way.norm() / slow) * way;
     out[k] = out[k] + Load{linear, (at - center(island[group.member[k]])).cross(linear)};
   };
   const auto planar = [&](size_t k) { return island[group.member[k]].input.mass.planar; };
@@ -272,6 +276,34 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
   }
 }
 
+// Damps the way of slow contacts of cars that their hosts press on something, by no more than what presses them. The materials
+// do not: without this a car that its weight presses on another would hum for ever, and creep along meanwhile.
+void calm(std::span<Member> island, const PairGroup& group, const Substep& now, std::vector<Load>& impulse) {
+  double most = 0;  // N s
+  for (uint32_t k : group.member) {
+    const StepInput& input = island[k].input;
+    if (std::isfinite(input.mass.mass)) most = std::max(most, now.seconds * input.mass.mass * input.pull.norm());
+  }
+  if (most == 0) return;
+  const std::vector<Load> more = against_the_way(island, group, now, impulse, slow_way);
+  const Kinetic kinetic(island, group, pressing_velocity(island, group, now));
+  double size = 0;
+  for (const Load& each : more) size = std::max(size, each.linear.norm());
+  const double square = kinetic.of(more);
+  if (!(size > 0 && square > 0)) return;
+  const auto with = [&](double by) {
+    std::vector<Load> sum = impulse;
+    for (size_t k = 0; k < sum.size(); ++k) sum[k] = sum[k] + by * more[k];
+    return sum;
+  };
+  const double before = kinetic.after(impulse), linear = kinetic.after(with(1)) - before - square;
+  const double by = std::min(std::min(1.0, now.seconds / calm_seconds) * -linear / (2 * square), most / size);
+  if (!(by > 0)) return;
+  impulse = with(by);
+  const double lost = (before - kinetic.after(impulse)) / double(group.member.size());
+  for (uint32_t k : group.member) island[k].state.body.absorbed += std::max(0.0, lost);
+}
+
 }  // namespace
 
 void react(std::span<Member> island, const PairGroup& group, const Substep& now, double h) {
@@ -302,6 +334,7 @@ void react(std::span<Member> island, const PairGroup& group, const Substep& now,
   } else {
     balance(island, group, now, begun, impulse, share);
   }
+  calm(island, group, now, impulse);
   for (size_t k = 0; k < load.size(); ++k) {
     Member& car = island[group.member[k]];
     auto& [body, motion, result, spring] = car.state;

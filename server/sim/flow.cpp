@@ -150,10 +150,13 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
 }
 
 float energy_density(const Elastic& e, const Mat3& f) {
-  const float j = f.determinant();
-  const float spread = j - e.gamma;
-  const float rest = e.gamma - 1;
-  return 0.5f * (e.mu * (f.squaredNorm() - 3) + e.l * (spread * spread - rest * rest));
+  // By g = F - I, so that nothing cancels at rest: |F|^2 - 3 = 2 tr g + |g|^2, J - 1 = tr g + second, and the terms with tr g
+  // add to zero, since gamma = 1 + mu/l.
+  const Mat3 g = f - Mat3::Identity();
+  const float second = g(0, 0) * g(1, 1) - g(0, 1) * g(1, 0) + g(0, 0) * g(2, 2) - g(0, 2) * g(2, 0) + g(1, 1) * g(2, 2) -
+                       g(1, 2) * g(2, 1) + g.determinant();
+  const float growth = g.trace() + second;
+  return 0.5f * (e.mu * (g.squaredNorm() - 2 * second) + e.l * growth * growth);
 }
 
 }  // namespace crumple

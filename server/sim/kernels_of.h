@@ -452,9 +452,13 @@ double energy(const TetView& v, uint32_t first, uint32_t last) {
       const LawLanes<N> law = laws<N>(v, v.region + lanes * g + lane);
       const Matrices<N> f = deformation_of<N>(edges_of<N>(v.node, v.group[g], lane), gradient_row<N>(tet, lane, 0),
                                               gradient_row<N>(tet, lane, 1), gradient_row<N>(tet, lane, 2));
-      const Floats<N> spread = dot(f.col[0], cross(f.col[1], f.col[2])) - law.gamma, rest = law.gamma - 1.0f;
-      const Floats<N> stretch = dot(f.col[0], f.col[0]) + dot(f.col[1], f.col[1]) + dot(f.col[2], f.col[2]) - 3.0f;
-      const Floats<N> density = 0.5f * (law.mu * stretch + law.l * (spread * spread - rest * rest));
+      // As in energy_density(), by F - I.
+      const Vec3s<N> a = {f.col[0].x - 1.0f, f.col[0].y, f.col[0].z}, b = {f.col[1].x, f.col[1].y - 1.0f, f.col[1].z},
+                     c = {f.col[2].x, f.col[2].y, f.col[2].z - 1.0f};
+      const Floats<N> second = a.x * b.y - a.y * b.x + a.x * c.z - a.z * c.x + b.y * c.z - b.z * c.y + dot(a, cross(b, c));
+      const Floats<N> growth = a.x + b.y + c.z + second;
+      const Floats<N> square = dot(a, a) + dot(b, b) + dot(c, c);
+      const Floats<N> density = 0.5f * (law.mu * (square - 2.0f * second) + law.l * (growth * growth));
       const Floats<N> all = load<N>(tet.volume + lane) * density;
       for (int k = 0; k < N; ++k) sum += double(all[k]);
     }

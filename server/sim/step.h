@@ -17,6 +17,9 @@ struct StepInput {
   const Mass& mass;
   std::span<const Obstacle> obstacles;
   double seconds;  // length of the tick
+  // m/s^2: acceleration by the host's own forces, such as weight. The motion's velocity has it already, for the whole tick; the
+  // tick spreads it over its sub-steps. Else a car that lies on something would be thrown at it anew in each tick, and hop.
+  Eigen::Vector3d pull = Eigen::Vector3d::Zero();
 };
 
 // What the tick did to the rigid motion. World axes; angular impulse about the centre of mass.

@@ -55,7 +55,8 @@ struct Instance {
   bool idle = false;
   // Used within one tick:
   bool placed = false;  // a command made its body anew, or its host put it elsewhere: no crash brought it to where it is
-  std::optional<Intent> intent;  // the latest; consumed
+  std::optional<Intent> intent;                    // the latest; consumed
+  Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // acceleration that its host gives it while it touches something, m/s^2
   Ahead ahead = Ahead::nothing;
   uint64_t key = 0;                       // names the car to those that it touches: hash of its id
   std::vector<uint32_t> near;             // positions (`order`) of the cars that may come near

@@ -48,6 +48,10 @@ bool touched(const StepResult& result) {
   return result.contacts > 0 || result.deepest > 0 || !result.impulse.isZero(0) || !result.angular_impulse.isZero(0);
 }
 
+// m/s^2: weight, engine and brakes give a car no more; what changes its velocity more is no steady force. And what changes it
+// less is a host's rounding.
+constexpr double strongest_pull = 30, weakest_pull = 0.01;
+
 // Sets the motion from which the tick starts, from the host's intent.
 void receive(const World& world, Instance& car) {
   if (!car.intent) return;
@@ -55,9 +59,14 @@ void receive(const World& world, Instance& car) {
   const PairMemory& pairs = car.body.pairs;
   const bool touching =
       (car.touched_tick != 0 && car.touched_tick + 1 == world.tick) || pairs.near.size() > pairs.passing.size();
-  const Eigen::Vector3d before = car.motion.pose.position;
-  car.motion = reconcile(car.motion, *car.intent, car.log, world.tick, touching);
-  if ((car.motion.pose.position - before).norm() > teleport) car.placed = true;
+  const Motion before = car.motion;
+  car.motion = reconcile(before, *car.intent, car.log, world.tick, touching);
+  if ((car.motion.pose.position - before.pose.position).norm() > teleport) {
+    car.placed = true;
+  } else if (touching) {
+    const Eigen::Vector3d pull = world.rate * (car.motion.velocity - before.velocity);
+    if (pull.norm() > weakest_pull && pull.norm() < strongest_pull) car.pull = pull;
+  }
   car.intent.reset();
 }
 
@@ -75,7 +84,7 @@ void move(const World& world, std::span<Instance* const> island, Worker& worker)
     parameters.back().iterations = car.sweeps;
     parameters.back().substeps = car.substeps;
     before.push_back(car.motion);
-    const StepInput input{car.car->model, parameters.back(), car.mass, world.obstacles, 1 / world.rate};
+    const StepInput input{car.car->model, parameters.back(), car.mass, world.obstacles, 1 / world.rate, car.pull};
     members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}});
   }
   deform(members, world.clock ? &timer : nullptr);
@@ -127,6 +136,7 @@ void show(const World& world, Instance& car, Worker& worker) {
 
 // Finds the car's motion.
 void receive_car(const World& world, Instance& car) {
+  car.pull.setZero();
   car.idle = car.idle && !world.obstacles_changed;
   if (!car.idle) receive(world, car);
 }
@@ -142,8 +152,8 @@ void prepare_car(const World& world, const std::vector<Instance*>& cars, Instanc
     obstacles = worker.obstacles;
   }
   const bool woken = world.budget > 0 && car.body.settled &&
-                     wakes({car.car->model, car.parameters, car.mass, obstacles, 1 / world.rate}, *worker.scratch.front(),
-                           car.body, car.motion);
+                     wakes({car.car->model, car.parameters, car.mass, obstacles, 1 / world.rate, car.pull},
+                           *worker.scratch.front(), car.body, car.motion);
   look_ahead(world, car, obstacles, woken);
   if (!car.body.settled && car.result.sweeps > 0) {
     if (car.fresh > 0) --car.fresh;

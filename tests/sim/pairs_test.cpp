@@ -125,7 +125,7 @@ TEST(Law, CarsRubWithTheGeometricMeanOfTheirFriction) {
   EXPECT_NEAR(sideways(0, 0.8f), sideways(0, 0), 1e-6);
   EXPECT_NEAR(sideways(0.1f, 0.4f), sideways(0.2f, 0.2f), 1e-6);
   EXPECT_GT(sideways(0.2f, 0.2f), sideways(0, 0) + 0.05);
-  EXPECT_GT(sideways(0.4f, 0.4f), sideways(0.2f, 0.2f) + 0.02);
+  EXPECT_GT(sideways(0.4f, 0.4f), sideways(0.2f, 0.2f) + 0.01);
 }
 
 TEST(Law, TwoCarsInEachOthersWayCrushAsInAFrictionlessWall) {
@@ -222,6 +222,124 @@ TEST(Law, ACarOnAScriptedPathGivesWayToNobody) {
   EXPECT_LT(cars.cars[0].motion.velocity.x(), -10);  // thrown back by something that comes on
   EXPECT_GT(cars.cars[0].motion.velocity.x(), -18);
   EXPECT_GT(cars.cars[0].nose_crush(), 0.1);
+}
+
+// A car is pulled against one that gives way to nobody, as by its weight, for minutes: from the front, and on its roof.
+TEST(Law, ACarThatLeansOrLiesOnAnotherDoesNotCreep) {
+  const int ticks = sanitized ? 600 : 10'000;
+  for (const bool roof : {false, true}) {
+    SCOPED_TRACE(roof ? "lies" : "leans");
+    PileUp scene;
+    scene.cars.reserve(2);
+    CrashCar& below = scene.add(box_car({5, 3, 2}), 0, 0, 0, 0);
+    below.mass.mass = std::numeric_limits<double>::infinity();
+    below.mass.inertia.setConstant(below.mass.mass);
+    CrashCar& resting = scene.add(box_car({5, 3, 2}), roof ? 0.3 : -2 * half - 0.005, 0.1, 0, 0);
+    if (roof) {
+      resting.motion.pose.orientation = Eigen::AngleAxisd(pi, Vector3d::UnitX());
+      resting.motion.pose.position = {0.3, 0.1, 3.005};
+      resting.mass.planar = false;
+    }
+    resting.pull = roof ? Vector3d(0, 0, -9.81) : Vector3d(3, 0, 0);
+    std::vector<Vec3> early;
+    Vector3d place = Vector3d::Zero();
+    for (int tick = 0; tick < ticks; ++tick) {
+      scene.tick();
+      if (tick == 119) early = resting.body.node, place = resting.motion.pose.position;
+    }
+    EXPECT_LT(rms_difference(early, resting.body.node), 1e-4);
+    EXPECT_LT((resting.motion.pose.position - place).norm(), roof ? 5e-3 : 1e-3);
+    EXPECT_LT(resting.motion.velocity.norm(), 0.2);
+    EXPECT_LT(measure_overlap(resting, below).node, 2e-3);
+    EXPECT_GT(resting.impulse.norm(), 0.99 * resting.pull.norm() * resting.mass.mass * ticks / 60);
+  }
+}
+
+TEST(Law, ABlockThatIsACarIsAWall) {
+  const auto crash = [](bool wall) {
+    PileUp scene;
+    scene.cars.reserve(2);
+    CrashCar& car = scene.add(box_car(), -half - 0.025, 0, 0, 12);
+    car.parameters.region[0].friction = 0;
+    if (wall) {
+      Obstacle& plane = scene.obstacles.emplace_back();
+      make_box({0.5f, 5, 5}, plane);
+      plane.pose.position.x() = 0.5;
+      plane.friction = 0;
+    } else {
+      CrashCar& block = scene.add(box_car({3, 3, 3}, 1200, 12), 6, 0, 0, 0);
+      block.mass.mass = 1e9;
+      block.mass.inertia.setConstant(1e10);
+      block.motion.pose.position.z() = -1.1;
+      block.parameters.region[0].young_modulus *= 100;
+      block.parameters.region[0].friction = 0;
+    }
+    scene.run(0.3);
+    return std::move(scene.cars[0]);
+  };
+  const CrashCar wall = crash(true), block = crash(false);
+  EXPECT_GT(wall.nose_crush(), 0.1);
+  EXPECT_NEAR(block.nose_crush(), wall.nose_crush(), 0.01 * wall.nose_crush());
+  EXPECT_NEAR(block.motion.velocity.x(), wall.motion.velocity.x(), 0.01 * 12);
+  EXPECT_LT(rms_difference(block.body.node, wall.body.node), 2e-3);
+}
+
+// Where methods fail: everything stays finite, and no energy comes from nowhere.
+TEST(Law, HostileScenesOfCarsAreSurvived) {
+  const auto rigid = [](CrashCar& car) {
+    car.mass.mass = std::numeric_limits<double>::infinity();
+    car.mass.inertia.setConstant(car.mass.mass);
+  };
+  const auto plane = [](PileUp& scene, const Vec3& size, const Vector3d& at) {
+    Obstacle& obstacle = scene.obstacles.emplace_back();
+    make_box(size, obstacle);
+    obstacle.pose.position = at;
+  };
+  std::vector<Scene> all;
+  all.push_back({"1 : 1,000,000", head_on(14, 14)});
+  all.back().pile_up.cars[1].mass.mass *= 1e6;
+  all.back().pile_up.cars[1].mass.inertia *= 1e6;
+  all.push_back({"1 : 1,000 in stiffness", head_on(14, 14)});
+  all.back().pile_up.cars[1].parameters.region[0].young_modulus *= 1000;
+  all.push_back({"born inside", head_on(-1, -1)});
+  all.back().pile_up.cars[0].motion.pose.position.x() += 0.4;
+  PileUp crushed;
+  crushed.add(box_car(), 0, 0, 0, 0);
+  rigid(crushed.add(box_car(), -2 * half - 0.01, 0, 0, 3));
+  plane(crushed, {0.5f, 5, 5}, {half + 0.51, 0, 0});
+  all.push_back({"between a wall and a car that comes on", std::move(crushed)});
+  PileUp box;
+  for (int k = 0; k < 20; ++k)
+    box.add(box_car({5, 3, 2}), (k % 4) * 5 - 7.5, (k / 4) * 2.2 - 4.4, 0.05 * ((k * 7) % 5 - 2), 4 * ((k * 3) % 5 - 2));
+  for (const double side : {-1.0, 1.0}) {
+    plane(box, {0.5f, 12, 5}, {side * 11, 0, 0});
+    plane(box, {12, 0.5f, 5}, {0, side * 6.8, 0});
+  }
+  all.push_back({"20 in a box", std::move(box)});
+  PileUp spinning;
+  for (int k = 0; k < 4; ++k) spinning.add(box_car({5, 3, 2}), 0, k * 1.9, 0, 0);
+  spinning.add(box_car(), 4.8, 2.5, 0, -5).motion.angular_velocity.z() = 20;
+  all.push_back({"spinning into a row", std::move(spinning)});
+  for (Scene& scene : all) {
+    SCOPED_TRACE(scene.name);
+    PileUp& cars = scene.pile_up;
+    const double brought = cars.kinetic();
+    const bool driven = !std::isfinite(brought);  // a car of infinite mass brings as much energy as is asked for
+    for (int k = 0; k < (sanitized ? 20 : 60); ++k) {
+      cars.tick();
+      for (const CrashCar& car : cars.cars) {
+        ASSERT_TRUE(std::isfinite(car.largest_displacement())) << "tick " << k;
+        ASSERT_TRUE(car.motion.pose.position.allFinite() && car.motion.velocity.allFinite()) << "tick " << k;
+        EXPECT_LT(car.motion.velocity.norm(), 60) << "tick " << k;
+      }
+      if (!driven) {
+        EXPECT_LT(cars.energy(), 1.01 * brought) << "tick " << k;
+      }
+    }
+    if (!driven) {
+      EXPECT_GT(cars.energy(), 0.9 * brought);
+    }
+  }
 }
 
 }  // namespace
