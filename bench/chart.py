@@ -4,7 +4,7 @@
 
 in: chart.csv (crumple_chart) in FOLDER, and other results of bench/run if they are there: peers.csv and peers_convergence.csv
 (bench/peers), scene.csv (crumple_scene), stability.csv, outside.csv (crumple_outside), the reports of crumple_bench in cars/*.json,
-tables.md. out: page.md and its PNGs in FOLDER. If a goal was not measured, the page says so.
+tables.md, pairs.md (crumple_pairs). out: page.md and its PNGs in FOLDER. If a goal was not measured, the page says so.
 """
 
 import argparse
@@ -526,6 +526,8 @@ def page(all_rows, folder, quick):
     if cells.exists():
         stability.draw(*stability.read_cells(cells), folder / "stability.png")
         yield "## Stability\n\n![Every method against every hostile start](stability.png)"
+    if (folder / "pairs.md").exists():
+        yield "## Cars that hit each other\n\n" + re.sub(r"^## ", "### ", (folder / "pairs.md").read_text().strip(), flags=re.M)
     wire = read_codecs(folder / "codec.csv")
     if wire:
         yield "## Bits on the network\n\n![Bits per vertex and frame](codec.png)"

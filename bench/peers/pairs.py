@@ -3,8 +3,9 @@
     pairs.py [--kmh 50] [--rounds 3] CAR...
 
 Rapier is the only other engine that we know with plastic bodies, contact between them and friction. CAR is a baked car; both
-engines get its tets, masses, modulus and yield strain. Rapier: corotational cells whose anchored nodes are free (it has no
-rigid frame), plastic flow at once, its default number of sub-steps (4) and three others. Ours: `crumple_pairs CAR --scene head-on`,
+engines get its tets, masses, modulus and yield strain. Rapier: corotational cells, plastic flow at once, its default number of
+sub-steps (4) and three others. Its material does not harden, and its bodies have no rigid frame, so it is crushed much deeper: the
+depth itself is no error, but how much it depends on the number of sub-steps is. Ours: `crumple_pairs CAR --scene head-on`,
 default settings. One thread each, in turn; of the means of all ticks the least and the median count. Prints a table in Markdown.
 """
 
