@@ -101,10 +101,11 @@ void forget_placed(const std::vector<Instance*>& cars) {
       return car->placed || std::binary_search(placed.begin(), placed.end(), key);
     };
     const auto passes = [&](uint64_t key) { return std::binary_search(memory.passing.begin(), memory.passing.end(), key); };
+    const size_t pushes = std::erase_if(memory.push, [&](const PairMemory::Push& push) { return is_forgotten(push.partner); });
     const size_t touches =
         std::erase_if(memory.touch, [&](const PairMemory::Touch& touch) { return is_forgotten(touch.partner); });
     const size_t neighbours = std::erase_if(memory.near, [&](uint64_t key) { return is_forgotten(key) && !passes(key); });
-    if (touches + neighbours > 0) car->hashes.body = hash(car->body);
+    if (pushes + touches + neighbours > 0) car->hashes.body = hash(car->body);
   }
   for (Instance* car : cars) car->placed = false;
 }

@@ -154,8 +154,8 @@ void prepare_car(const World& world, const std::vector<Instance*>& cars, Instanc
 
 // The fields that may change in a body that is not solved: what it rests against moves on or leaves, or a car comes near.
 auto of_rest(const DeformableState& body) {
-  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment, body.pairs.near,
-                    body.pairs.passing);
+  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment, body.pairs.push,
+                    body.pairs.near, body.pairs.passing);
 }
 
 bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.angular_velocity.isZero(0); }
@@ -288,12 +288,31 @@ void tell_viewers(World& world, Outbox& outbox) {
   }
 }
 
+// Cars by their keys, if any car has touched another.
+using Named = std::map<uint64_t, std::map<std::string, Instance>::const_iterator>;
+Named name_partners(const World& world) {
+  Named out;
+  const auto met = [](const auto& each) { return !each.second.result.partners.empty(); };
+  if (std::none_of(world.cars.begin(), world.cars.end(), met)) return out;
+  for (auto car = world.cars.begin(); car != world.cars.end(); ++car) out.emplace(car->second.key, car);
+  return out;
+}
+
 void tell_hosts(const World& world, Outbox& outbox) {
+  const auto by_id = [](const CarReaction::Partner& a, const CarReaction::Partner& b) { return a.car < b.car; };
   std::map<std::string, std::vector<CarReaction>> reactions;
+  const Named names = name_partners(world);
   for (const auto& [id, car] : world.cars) {
     const bool lately = car.touched_tick != 0 && world.tick - car.touched_tick <= reaction_echo;
     if (!lately && car.body.settled) continue;
-    reactions[car.host].push_back({id, car.motion, car.result, car.body.absorbed, car.body.stored});
+    CarReaction& reaction =
+        reactions[car.host].emplace_back(CarReaction{id, car.motion, car.result, car.body.absorbed, car.body.stored, {}});
+    for (const PartnerResult& each : car.result.partners) {
+      const auto found = names.find(each.key);
+      if (found == names.end()) continue;
+      reaction.partners.push_back({found->second->first, found->second->second.host, each.impulse, each.contacts});
+    }
+    std::sort(reaction.partners.begin(), reaction.partners.end(), by_id);
   }
   for (const auto& [host, cars] : reactions) {
     outbox.push_back({"host/" + host + "/reactions", encode_reactions(world.tick, double(world.tick) / world.rate, cars)});
