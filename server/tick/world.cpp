@@ -69,6 +69,7 @@ void move(const World& world, std::span<Instance* const> island, Worker& worker)
   std::vector<Member> members;
   parameters.reserve(island.size());  // members point to them
   while (worker.scratch.size() < island.size()) worker.scratch.push_back(make_scratch());
+  const std::vector<std::vector<uint32_t>> near = near_in(island);
   for (size_t k = 0; k < island.size(); ++k) {
     Instance& car = *island[k];
     parameters.push_back(car.parameters);
@@ -76,7 +77,7 @@ void move(const World& world, std::span<Instance* const> island, Worker& worker)
     parameters.back().substeps = car.substeps;
     before.push_back(car.motion);
     const StepInput input{car.car->model, parameters.back(), car.mass, world.obstacles, 1 / world.rate};
-    members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}});
+    members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}, &near[k]});
   }
   deform(members, world.clock ? &timer : nullptr);
   for (size_t k = 0; k < island.size(); ++k) {

@@ -302,20 +302,50 @@ TEST(Islands, AWorldSavedWhileTwoCarsTouchGoesOnBitForBit) {
   }
 }
 
-// Many cars in one place must not make a tick long: each notices at most `neighbour_limit` others.
+// Many cars in one place must not make a tick long: each notices at most `neighbour_limit` others, and is tested against these
+// alone; and an island has at most `island_limit` cars.
 TEST(Islands, ManyCarsInOnePlaceNoticeFew) {
   Meeting meeting;
   Inbox inbox;
   std::vector<CarPose> poses;
-  for (int k = 0; k < 30; ++k) {
+  for (int k = 0; k < 300; ++k) {
     poses.push_back({"car" + std::to_string(k), pose_at(0.01 * k), {1, 0, 0}});
     inbox.push_back({"car/" + poses.back().car, host::spawn(box()->hash, "game", poses.back().pose)});
   }
   inbox.push_back({"host/game/poses", host::poses(1, poses)});
   meeting.step(inbox);
-  size_t most = 0;
-  for (const auto& [id, car] : meeting.world->cars) most = std::max(most, car.near.size());
-  EXPECT_EQ(most, neighbour_limit);
+  for (int k = 0; k < 3; ++k) {
+    size_t most = 0, kept = 0;
+    for (const auto& [id, car] : meeting.world->cars) {
+      most = std::max(most, car.near.size());
+      kept = std::max(kept, car.body.pairs.near.size());
+      EXPECT_EQ(car.body.pairs.passing, car.body.pairs.near);
+    }
+    EXPECT_EQ(most, neighbour_limit);
+    EXPECT_LE(kept, neighbour_limit);
+    EXPECT_GT(kept, 0u);
+    meeting.step();
+  }
+  const uint64_t largest = meeting.world->tally.largest_island;
+  EXPECT_LE(largest, island_limit);
+  EXPECT_GT(largest, island_limit / 2);
+}
+
+// A crash in a crowd that is larger than an island: the two cars that press against each other stay in one.
+TEST(Islands, OfTooManyCarsThoseThatTouchStayTogether) {
+  const auto meeting = head_on();
+  meeting->run(3);
+  ASSERT_EQ(meeting->car("left").result.partners.size(), 1u);
+  Inbox inbox;
+  std::vector<CarPose> poses;
+  for (int k = 0; k < 200; ++k) {
+    poses.push_back({"a" + std::to_string(k), pose_at(0.02 * k - 2, 0.01 * k), {1, 0, 0}});
+    inbox.push_back({"car/" + poses.back().car, host::spawn(box()->hash, "crowd", poses.back().pose)});
+  }
+  inbox.push_back({"host/crowd/poses", host::poses(1, poses)});
+  meeting->step(inbox);
+  EXPECT_EQ(meeting->car("left").result.partners.size(), 1u);
+  EXPECT_LE(meeting->world->tally.largest_island, island_limit);
 }
 
 // Its way of half a second leads past more cars than it can notice. It hits the one that is nearest.
