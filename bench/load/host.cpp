@@ -1,5 +1,6 @@
-// A host of the load harness. Each crashing car starts 10 m before its own wall, all at the same time, and again in each
-// period. The other cars drive along free lanes, or stand at their place of spawn.
+// A host of the load harness. Each crashing car starts 10 m before its own wall, or 10 m before the place where it meets cars
+// that come from the other side, all at the same time, and again in each period. The other cars drive along free lanes, or
+// stand at their place of spawn.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -16,7 +17,8 @@ using Clock = std::chrono::steady_clock;
 
 constexpr double rate = 60;    // poses a second
 constexpr double lane = 8;     // m between cars
-constexpr double run_up = 10;  // m from the start to the wall
+constexpr double run_up = 10;  // m from the start to the wall, or to the place of a meeting
+constexpr double queue = 7;    // m from a car of a pile-up to the one behind it
 constexpr double repair_at = 0.1,
                  go_at = 0.25;          // s into a period: the car is put at its start, then repaired, then it goes
 constexpr double braking = 7;           // m/s^2
@@ -30,6 +32,8 @@ struct Moving {
   float velocity[3] = {}, turn[3] = {};
   uint64_t seen = 0;
   bool hit = false, crashes = false;
+  CrumplePose start{};
+  double heading = 1;  // 1: along x, -1: against it
 };
 
 struct Host {
@@ -46,6 +50,22 @@ CrumplePose start_of(char kind, uint32_t number) {
   return {{kind == 'a' ? -100.0 : 0.0, kind == 'd' ? -lane - y : y, 0}, {0, 0, 0, 1}};
 }
 
+// Cars that meet start in one lane on both sides of their place, in turn; the cars of a pile-up also behind one another.
+void place(const Meeting& meeting, Moving& car) {
+  car.start = start_of(car.crashes ? 'c' : 'd', car.number);
+  if (!car.crashes || car.number >= meeting.cars) return;
+  const uint32_t first = car.number < meeting.pile ? 0 : car.number - (car.number - meeting.pile) % 2, k = car.number - first;
+  const double before = run_up + queue * (k / 2);
+  car.start = start_of('c', first);
+  if (k % 2 == 0) {
+    car.start.position[0] = run_up - before;
+    return;
+  }
+  car.heading = -1;
+  car.start.position[0] = run_up + before;
+  car.start.orientation[2] = 1, car.start.orientation[3] = 0;
+}
+
 void settle(Host& host, std::vector<uint64_t>& tickets) {
   for (uint64_t ticket : tickets) host.tick = std::max(host.tick, host.session.settle(ticket).tick);
   tickets.clear();
@@ -55,19 +75,21 @@ void spawn(Host& host) {
   std::vector<uint64_t> tickets;
   const auto add = [&](char kind, const std::vector<uint32_t>& numbers) {
     for (uint32_t number : numbers) {
+      Moving moving;
+      moving.number = number;
+      moving.crashes = kind == 'c';
+      place(host.task.meeting, moving);
       CrumpleSpawn spawn{};
-      spawn.pose = start_of(kind, number);
+      spawn.pose = kind == 'a' ? start_of(kind, number) : moving.start;
       spawn.planar = 1;
       const std::string id = car_id(kind, number);
       client::need(crumple_spawn(host.session, id.c_str(), host.task.asset.c_str(), &spawn, &tickets.emplace_back()));
       if (tickets.size() == orders_at_once) settle(host, tickets);
       if (kind == 'a') continue;
       host.at[id] = host.cars.size();
-      Moving& car = host.cars.emplace_back();
+      Moving& car = host.cars.emplace_back(moving);
       car.id = id;
-      car.number = number;
       car.pose = spawn.pose;
-      car.crashes = kind == 'c';
     }
   };
   add('c', host.task.crashing);
@@ -80,7 +102,7 @@ void spawn(Host& host) {
 void publish_walls(Host& host) {
   std::vector<CrumpleObstacle> walls;
   for (const Moving& car : host.cars) {
-    if (!car.crashes) continue;
+    if (!car.crashes || car.number < host.task.meeting.cars) continue;
     CrumpleObstacle wall{};
     wall.id = car.number;
     wall.shape = CRUMPLE_BOX;
@@ -119,7 +141,7 @@ void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& 
     return;
   }
   if (first) {
-    car.pose = start_of('c', car.number);
+    car.pose = car.start;
     std::fill_n(car.velocity, 3, 0.0f);
     std::fill_n(car.turn, 3, 0.0f);
     car.seen = std::max(car.seen, tick);
@@ -127,7 +149,7 @@ void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& 
   }
   if (time < go_at) return;
   if (!car.hit) {
-    car.velocity[0] = float(task.speed);
+    car.velocity[0] = float(car.heading * task.speed);
   } else {
     const double speed = std::hypot(double(car.velocity[0]), double(car.velocity[1]));
     const double left = speed > 0 ? std::max(0.0, speed - braking * step) / speed : 0;
@@ -138,6 +160,12 @@ void move(const HostTask& task, double time, bool first, uint64_t tick, Moving& 
 }
 
 }  // namespace
+
+Meeting meeting_of(const Options& options) {
+  const auto cars = uint32_t(options.meeting * options.crashing);
+  const uint32_t pile = std::min(options.pile, cars) / 2 * 2;
+  return {pile + (cars - pile) / 2 * 2, pile};
+}
 
 std::string car_id(char kind, uint32_t number) { return kind + std::to_string(number); }
 

@@ -28,6 +28,8 @@ struct Options {
   double speed_kmh = 50;
   double period = 3;                          // s between crashes; all crashing cars hit at the same time
   double importance = 1;                      // importance of crashing cars
+  double meeting = 0;                         // share of the crashing cars that hit cars instead of walls
+  uint32_t pile = 2;                          // so many of them meet in one place; the others meet in pairs
   uint32_t viewers = 4, follow = 5, far = 0;  // far: so many of the viewers follow all cars on surface level 1
   uint32_t frozen = 0, killed = 0, late = 0;  // viewers
   Weather weather;                            // of each viewer's link, if any of these is set
@@ -39,6 +41,13 @@ struct Options {
   }
 };
 
+// How crashing cars meet each other: the cars below `pile` in one place, from both sides one behind the other; those from there
+// to `cars` head-on in pairs; the others hit walls. Neighbours in number have different hosts.
+struct Meeting {
+  uint32_t cars = 0, pile = 2;
+};
+Meeting meeting_of(const Options&);
+
 // Ids: "c7" for a crashing car, "d7" for a driving car, "a7" for a sleeping car.
 std::string car_id(char kind, uint32_t number);
 
@@ -46,6 +55,7 @@ struct HostTask {
   std::string endpoint, id, asset;
   std::vector<uint32_t> crashing, driving, asleep;  // numbers in the ids of its cars
   double speed = 0, period = 0, importance = 1;     // m/s, s
+  Meeting meeting;
 };
 // Spawns its cars, sets `ready`, waits for `go`, and drives until `stop`. Throws std::runtime_error.
 void play_host(const HostTask&, std::atomic<uint32_t>& ready, const std::atomic<bool>& go, const std::atomic<bool>& stop);

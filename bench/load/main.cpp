@@ -163,6 +163,7 @@ void start_hosts(Stage& stage, const std::string& asset) {
     tasks[k].speed = options.speed_kmh / 3.6;
     tasks[k].period = options.period;
     tasks[k].importance = options.importance;
+    tasks[k].meeting = meeting_of(options);
     stage.hosts.emplace_back([&stage, k, task = tasks[k]] {
       try {
         play_host(task, stage.ready, stage.go, stage.stop);
@@ -296,6 +297,9 @@ int play(const Options& options) {
       options.asleep + options.driving + options.crashing, car->model.node.size(), options.crashing, options.period,
       options.speed_kmh, options.driving, options.asleep, options.hosts, options.viewers,
       std::min(options.follow, options.crashing));
+  if (const Meeting meeting = meeting_of(options); meeting.cars > 0)
+    std::printf("%u of the crashing cars hit cars of other hosts: %u in one place, the others in pairs\n", meeting.cars,
+                meeting.pile);
   std::fflush(stdout);
   start_hosts(stage, car->hash);
   const auto until = Clock::now() + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(start_patience));
@@ -348,6 +352,12 @@ int run(int argc, char** argv) {
   app.add_option("--importance", options.importance, "of crashing cars: chooses their level")
       ->check(CLI::Range(0.001, 1.0))
       ->capture_default_str();
+  app.add_option("--meeting", options.meeting, "share of the crashing cars that hit cars of other hosts instead of walls")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
+  app.add_option("--pile", options.pile, "so many of them meet in one place, from both sides; the others meet head-on in pairs")
+      ->check(CLI::Range(2u, 100u))
+      ->capture_default_str();
   app.add_option("--viewers", options.viewers, "processes that follow crashing cars")
       ->check(CLI::Range(1u, 1'000u))
       ->capture_default_str();
@@ -372,6 +382,8 @@ int run(int argc, char** argv) {
     if (options.cars.empty()) throw CLI::RequiredError("--car");
     if (options.frozen + options.killed + options.far > options.viewers)
       throw CLI::ValidationError("--frozen, --killed and --far", "name more viewers than there are");
+    if (options.meeting > 0 && options.hosts % 2 != 0)
+      throw CLI::ValidationError("--meeting", "needs an even number of --hosts, so that cars that meet have different hosts");
   } catch (const CLI::Success& asked) {
     return app.exit(asked);
   } catch (const CLI::ParseError& error) {

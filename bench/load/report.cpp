@@ -74,7 +74,20 @@ struct Served {
   std::vector<Health> health;                         // during the load
   size_t vertices = 0;
   uint64_t late_before = 0;
+  uint64_t reactions = 0, with_partners = 0, of_other_hosts = 0, most_partners = 0;  // during the load
 };
+
+void count_partners(const RecordingReader::Item& item, Served& out) {
+  const std::string_view host = std::string_view(item.key).substr(5, item.key.find('/', 5) - 5);  // of host/ID/reactions
+  for (const auto* reaction : *flatbuffers::GetRoot<schema::Reactions>(item.bytes.data())->cars()) {
+    ++out.reactions;
+    if (!reaction->partners()) continue;
+    ++out.with_partners;
+    out.most_partners = std::max<uint64_t>(out.most_partners, reaction->partners()->size());
+    const auto is_foreign = [&](const schema::Partner* each) { return each->host()->string_view() != host; };
+    out.of_other_hosts += std::any_of(reaction->partners()->begin(), reaction->partners()->end(), is_foreign);
+  }
+}
 
 Served read_recording(const Run& run) {
   Served out;
@@ -84,6 +97,7 @@ Served read_recording(const Run& run) {
   std::map<std::string, std::vector<uint64_t>> told[2];
   while (reader.next(item)) {
     const bool during = item.time_ns >= run.begin_ns && item.time_ns < run.end_ns;
+    if (during && item.channel == Channel::reactions) count_partners(item, out);
     if (item.channel == Channel::tick_end) out.tick_ns[item.tick] = item.time_ns;
     if (item.channel == Channel::keyframe || item.channel == Channel::delta) {
       const std::string car(item.key.substr(4, item.key.find('/', 4) - 4));
@@ -290,8 +304,14 @@ int report(const Options& options, const Run& run) {
   const Health& end = served.health.back();
   const auto count = [&](const char* name) { return end.counts.count(name) ? end.counts.at(name) : 0; };
   double worst_tick = 0, residual = 0;
+  uint64_t islands = 0, largest_island = 0;
   for (const Health& health : served.health) {
     worst_tick = std::max(worst_tick, health.rooms.count("tick") ? health.rooms.at("tick").second : 0.0);
+    const auto raise = [&](const char* name, uint64_t& value) {
+      if (const auto found = health.counts.find(name); found != health.counts.end()) value = std::max(value, found->second);
+    };
+    raise("islands", islands);
+    raise("largest_island", largest_island);
     residual =
         std::max(residual, health.counts.count("residual_worst_nm") ? 1e-6 * double(health.counts.at("residual_worst_nm")) : 0);
   }
@@ -304,6 +324,14 @@ int report(const Options& options, const Run& run) {
   json.number("asleep", options.asleep);
   json.number("driving", options.driving);
   json.number("crashing", options.crashing);
+  json.number("meeting", meeting_of(options).cars);
+  json.number("pile", meeting_of(options).pile);
+  json.number("islands", double(islands));
+  json.number("largest_island", double(largest_island));
+  json.number("reactions", double(served.reactions));
+  json.number("reactions_with_partners", double(served.with_partners));
+  json.number("reactions_of_other_hosts", double(served.of_other_hosts));
+  json.number("partners_most", double(served.most_partners));
   json.number("viewers", options.viewers);
   json.number("follow", options.follow);
   json.text("serve", options.serve);
@@ -382,6 +410,15 @@ int report(const Options& options, const Run& run) {
               quantile(viewers.latency, 0.999));
   std::printf("viewer: %.2f Mb/s, %.2f in its busiest second; first surfaces after %.0f ms, of late ones %.0f ms\n",
               viewers.mean_mbits[0], viewers.worst_mbits[0], viewers.open_ms, viewers.late_ms);
+  if (meeting_of(options).cars > 0) {
+    const auto number = [](uint64_t value) { return static_cast<unsigned long long>(value); };
+    std::printf(
+        "islands of several cars: %llu in one tick, of up to %llu cars; reactions %llu, %llu with partners (up to %llu), %llu "
+        "of "
+        "these with cars of other hosts\n",
+        number(islands), number(largest_island), number(served.reactions), number(served.with_partners),
+        number(served.most_partners), number(served.of_other_hosts));
+  }
   if (options.far > 0)
     std::printf("far viewer of all %u cars: %.2f Mb/s, %.2f in its busiest second\n", options.crashing, viewers.mean_mbits[1],
                 viewers.worst_mbits[1]);

@@ -232,8 +232,11 @@ size_t crumple_take_reactions(Crumple* handle, CrumpleReaction* out, size_t capa
   size_t count = 0;
   with(handle, {}, [&](Crumple* session) {
     if (capacity > 0 && !not_null({{"out", out}})) return CRUMPLE_BAD_ARGUMENT;
+    session->partners.clear();
     for (; count < capacity && !session->reactions.empty(); ++count) {
-      out[count] = session->reactions.front();
+      auto& [reaction, partners] = session->reactions.front();
+      out[count] = reaction;
+      if (!partners.empty()) out[count].partners = session->partners.emplace_back(std::move(partners)).data();
       session->reactions.pop_front();
     }
     return CRUMPLE_OK;

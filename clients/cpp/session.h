@@ -31,7 +31,8 @@ using Clock = std::chrono::steady_clock;
 // A session that was not polled for this long may hold an old surface, and more old messages may still be waiting for it.
 inline constexpr std::chrono::milliseconds unpolled{500};
 inline constexpr size_t reactions_kept = 4096;
-inline constexpr double past_kept = 0.5;  // s: how long ago crumple_copy can show a car
+inline constexpr size_t partners_most = 64;  // of a reaction: twice as many as a server names
+inline constexpr double past_kept = 0.5;     // s: how long ago crumple_copy can show a car
 inline constexpr size_t answers_kept = 256;
 // Limits of what a caller gives in one call, so that the library refuses a wild count and does not read it.
 inline constexpr size_t message_limit = size_t{64} << 20;  // bytes: the transport carries no more in one message
@@ -51,6 +52,12 @@ struct ServerClock {
 
   void take(uint64_t at);
   double now() const;
+};
+
+// A reaction that waits, and the list to which it will point.
+struct Told {
+  CrumpleReaction reaction{};
+  std::vector<CrumplePartner> partners;
 };
 
 struct Past {
@@ -155,8 +162,9 @@ struct Crumple {
   std::map<std::string, crumple::client::ShownCar, std::less<>> shown;
   std::map<std::string, crumple::client::Asset, std::less<>> assets;
   std::map<uint64_t, crumple::client::CommandAnswer> answers;  // by ticket, oldest first
-  std::deque<CrumpleReaction> reactions;
-  std::set<std::string, std::less<>> names;  // of cars in reactions
+  std::deque<crumple::client::Told> reactions;
+  std::vector<std::vector<CrumplePartner>> partners;  // of the reactions that were taken last
+  std::set<std::string, std::less<>> names;           // of cars and hosts in reactions
   CrumpleHealth health{};
   crumple::client::ServerClock clock;
   CrumpleStatistics statistics{};

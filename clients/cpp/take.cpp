@@ -59,13 +59,26 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
   const auto* message = verified<schema::Reactions>(bytes);
   if (!message) return refuse(session, "reactions are not a well-formed FlatBuffers table");
   session.clock.take(message->tick());
+  const auto is_name = [](const flatbuffers::String* text) { return crumple::is_id(text->string_view()); };
+  const auto name_of = [&](const flatbuffers::String* text) { return session.names.insert(text->str()).first->c_str(); };
   for (const auto* from : *message->cars()) {
-    if (!crumple::is_id(from->car()->string_view()) || session.names.size() > 100'000) {
-      refuse(session, "a reaction names a car with an invalid id, or there are over 100000 cars");
+    const auto* partners = from->partners();
+    const bool named =
+        is_name(from->car()) && (!partners || std::all_of(partners->begin(), partners->end(), [&](const auto* each) {
+          return is_name(each->car()) && is_name(each->host());
+        }));
+    if (!named || session.names.size() > 100'000) {
+      refuse(session, "a reaction names a car or a host with an invalid id, or there are over 100000 of them");
       continue;
     }
-    CrumpleReaction to{};
-    to.car = session.names.insert(from->car()->str()).first->c_str();
+    if (partners && partners->size() > partners_most) {
+      refuse(session, "a reaction names " + std::to_string(partners->size()) + " partners; a car has at most " +
+                          std::to_string(partners_most));
+      continue;
+    }
+    Told& told = session.reactions.emplace_back();
+    CrumpleReaction& to = told.reaction;
+    to.car = name_of(from->car());
     to.tick = message->tick();
     to.time = message->time();
     copy(*from->impulse(), to.impulse);
@@ -77,7 +90,15 @@ void take_reactions(Crumple& session, std::span<const uint8_t> bytes) {
     to.energy_stored = from->energy_stored();
     to.deepest = from->deepest();
     to.contacts = from->contacts();
-    session.reactions.push_back(to);
+    for (uint32_t k = 0; partners && k < partners->size(); ++k) {
+      const schema::Partner& one = *partners->Get(k);
+      CrumplePartner& partner = told.partners.emplace_back();
+      partner.car = name_of(one.car());
+      partner.host = name_of(one.host());
+      copy(*one.impulse(), partner.impulse);
+      partner.contacts = one.contacts();
+    }
+    to.partner_count = static_cast<uint32_t>(told.partners.size());
   }
   while (session.reactions.size() > reactions_kept) session.reactions.pop_front();
 }

@@ -100,6 +100,16 @@ public struct Obstacle {
   public float Friction;
 }
 
+/// Another car that touched the car of a reaction in the same tick.
+public struct Partner {
+  internal IntPtr car, host;
+  public Float3 Impulse;
+  public uint Contacts;
+  public string Car { get { return Native.Text(car); } }    // a new string each time
+  public string Host { get { return Native.Text(host); } }  // a new string each time
+  public bool IsOf(IntPtr id) { return Native.Same(car, id); }  // id: what Session.Id gives for the car's name
+}
+
 public struct Reaction {
   internal IntPtr car;
   public ulong Tick;
@@ -110,8 +120,15 @@ public struct Reaction {
   public double EnergyAbsorbed, EnergyStored;
   public float Deepest;
   public uint Contacts;
+  public uint PartnerCount;
+  internal IntPtr partners;
   public string Car { get { return Native.Text(car); } }  // a new string each time
   public bool IsOf(IntPtr id) { return Native.Same(car, id); }  // id: what Session.Id gives for the car's name
+  /// Valid until the next TakeReactions. Allocates.
+  public Partner PartnerAt(int k) {
+    if (k < 0 || k >= PartnerCount) throw new ArgumentOutOfRangeException("k");
+    return (Partner)Marshal.PtrToStructure(partners + k * Marshal.SizeOf(typeof(Partner)), typeof(Partner));
+  }
 }
 
 public struct Surface {
@@ -387,7 +404,7 @@ struct Answer {
 }
 
 static class Native {
-  public const uint Version = 5;  // CRUMPLE_CLIENT_VERSION
+  public const uint Version = 6;  // CRUMPLE_CLIENT_VERSION
   const string library = "crumple_client";
 
   public static string Text(IntPtr text) {

@@ -23,6 +23,10 @@ bool is_sound(const PairMemory& memory, size_t nodes) {
   const std::vector<PairMemory::Touch>& touch = memory.touch;
   const auto not_ascending = [](const auto& a, const auto& b) { return a.node >= b.node; };
   if (std::adjacent_find(touch.begin(), touch.end(), not_ascending) != touch.end()) return false;
+  const auto not_sorted = [](const auto& a, const auto& b) { return a.partner >= b.partner; };
+  const std::vector<PairMemory::Push>& push = memory.push;
+  if (std::adjacent_find(push.begin(), push.end(), not_sorted) != push.end()) return false;
+  if (!std::all_of(push.begin(), push.end(), [](const PairMemory::Push& each) { return each.force.allFinite(); })) return false;
   for (const auto* keys : {&memory.near, &memory.passing}) {
     if (!std::is_sorted(keys->begin(), keys->end())) return false;
   }
@@ -59,6 +63,7 @@ class BodyHash {
       if (!list.empty()) (*this)(list);
     };
     add(memory.touch);
+    add(memory.push);
     add(memory.near);
     add(memory.passing);
   }

@@ -23,11 +23,17 @@ struct PairMemory {
     float pressure;    // N
     Vec3 friction;     // N, on the node, in the partner's frame
   };
+  struct Push {
+    uint64_t partner;
+    Eigen::Vector3d force;  // N, on this body at the end of the last sub-step, world axes: a part of DeformableState::force
+    bool operator==(const Push&) const = default;
+  };
   std::vector<Touch> touch;       // ascending by node
+  std::vector<Push> push;         // ascending by partner
   std::vector<uint64_t> near;     // keys of the cars that were near in the last tick, ascending
   std::vector<uint64_t> passing;  // of these the ones that it passes through, because they came to be inside each other
 };
-static_assert(sizeof(PairMemory::Touch) == 40);  // no padding: it is hashed
+static_assert(sizeof(PairMemory::Touch) == 40 && sizeof(PairMemory::Push) == 32);  // no padding: they are hashed
 
 struct DeformableState {
   std::vector<Vec3> node;            // positions, car's frame, m

@@ -162,6 +162,7 @@ void tick_classic(Member& member, Timer* timer) {
   const StepInput& input = member.input;
   body.force.setZero();  // `classic` has no forces
   body.moment.setZero();
+  body.pairs.push.clear();
   const Substep whole{0, input.seconds};
   const Pose to = advance(motion, input.mass, input.seconds);
   {

@@ -24,6 +24,24 @@ struct Load {
 Load operator*(double by, const Load& load) { return {by * load.linear, by * load.angular}; }
 Load operator+(const Load& a, const Load& b) { return {a.linear + b.linear, a.angular + b.angular}; }
 
+// The linear part of the load of one car on another in a sub-step.
+struct PartnerLoad {
+  uint64_t key;                         // of the other car
+  Vector3d before = Vector3d::Zero();   // force at the end of the last sub-step, N
+  Vector3d now = Vector3d::Zero();      // and of this one
+  Vector3d balance = Vector3d::Zero();  // impulse that balances the energy, before it is scaled, N s
+  Vector3d calm = Vector3d::Zero();     // impulse that damps slow contacts, N s
+  uint32_t contacts = 0;
+};
+using PartnerLoads = std::vector<std::vector<PartnerLoad>>;  // per car of the group, ascending by key
+
+PartnerLoad& load_of(uint64_t key, std::vector<PartnerLoad>& partner_loads) {
+  auto at = std::lower_bound(partner_loads.begin(), partner_loads.end(), key,
+                             [](const PartnerLoad& each, uint64_t wanted) { return each.key < wanted; });
+  if (at == partner_loads.end() || at->key != key) at = partner_loads.insert(at, PartnerLoad{key});
+  return *at;
+}
+
 Vector3d center(const Member& car) {
   const Pose& pose = car.state.motion.pose;
   return pose.position + pose.orientation * car.input.mass.center;
@@ -124,7 +142,7 @@ Load push_by_obstacles(Member& car) {
 }
 
 // Adds the forces between cars: one force at one point of the world for both. Each car takes half of the friction's heat.
-void push_by_cars(std::span<Member> island, const PairGroup& group, std::vector<Load>& load) {
+void push_by_cars(std::span<Member> island, const PairGroup& group, std::vector<Load>& load, PartnerLoads& partner_loads) {
   for (const PairContact& contact : group.contact) {
     if (!(contact.pressed > 0)) continue;
     Member &first = island[group.member[contact.car[0]]], &second = island[group.member[contact.car[1]]];
@@ -133,6 +151,12 @@ void push_by_cars(std::span<Member> island, const PairGroup& group, std::vector<
     Load &a = load[contact.car[0]], &b = load[contact.car[1]];
     a = a + Load{force, (at - center(first)).cross(force)};
     b = b + Load{-force, -(at - center(second)).cross(force)};
+    PartnerLoad &to_first = load_of(second.key, partner_loads[contact.car[0]]),
+                &to_second = load_of(first.key, partner_loads[contact.car[1]]);
+    to_first.now += force;
+    to_second.now -= force;
+    ++to_first.contacts;
+    ++to_second.contacts;
     for (Member* each : {&first, &second}) {
       auto& [body, motion, result, spring] = each->state;
       body.absorbed += 0.5 * double(contact.heat);
@@ -193,12 +217,14 @@ Vector3d velocity_at(const Member& car, const Load& impulse, const Vector3d& poi
 // the two sides of a contact. Their size is for the caller to choose. slow: m/s, contacts count less the faster they are, and
 // not at all from this speed on.
 std::vector<Load> against_the_way(std::span<Member> island, const PairGroup& group, const Substep& now,
-                                  const std::vector<Load>& impulse, double slow = std::numeric_limits<double>::infinity()) {
+                                  const std::vector<Load>& impulse, PartnerLoads& partner_loads,
+                                  double slow = std::numeric_limits<double>::infinity()) {
   std::vector<Load> out(group.member.size());
   double forces = 0;
   const auto add = [&](size_t k, const Vector3d& at, const Vector3d& way, double force) {
     const Vector3d linear = -force * std::max(0.0, 1 - way.norm() / slow) * way;
     out[k] = out[k] + Load{linear, (at - center(island[group.member[k]])).cross(linear)};
+    return linear;
   };
   const auto planar = [&](size_t k) { return island[group.member[k]].input.mass.planar; };
   for (const PairContact& contact : group.contact) {
@@ -208,8 +234,8 @@ std::vector<Load> against_the_way(std::span<Member> island, const PairGroup& gro
     const Vector3d at = place(island[group.member[a]], contact.node);
     Vector3d way = velocity_at(island[group.member[a]], impulse[a], at) - velocity_at(island[group.member[b]], impulse[b], at);
     if (planar(a) && planar(b)) way.z() = 0;
-    add(a, at, way, force);
-    add(b, at, -way, force);
+    load_of(island[group.member[b]].key, partner_loads[a]).balance += add(a, at, way, force);
+    load_of(island[group.member[a]].key, partner_loads[b]).balance += add(b, at, -way, force);
     forces += force;
   }
   for (size_t k = 0; k < group.member.size(); ++k) {
@@ -220,7 +246,11 @@ std::vector<Load> against_the_way(std::span<Member> island, const PairGroup& gro
       forces += double(held.norm());
     });
   }
-  for (Load& each : out) each = (forces > 0 ? 1 / forces : 0) * each;
+  const double scale = forces > 0 ? 1 / forces : 0;
+  for (Load& each : out) each = scale * each;
+  for (std::vector<PartnerLoad>& each : partner_loads) {
+    for (PartnerLoad& from : each) from.balance *= scale;
+  }
   return out;
 }
 
@@ -235,7 +265,7 @@ double smallest_share(double linear, double square, double gain) {
 // Balances the energy of cars that touch one another, and never lets the motions gain more than the bodies have. was: where the
 // centres of mass stood when the sub-step began: the first half of the impulse, which has moved the cars already, acted there.
 void balance(std::span<Member> island, const PairGroup& group, const Substep& now, std::span<const Load> begun,
-             std::vector<Load>& impulse, double& share) {
+             std::vector<Load>& impulse, double& share, PartnerLoads& partner_loads) {
   const Kinetic kinetic(island, group, pressing_velocity(island, group, now));
   double spring = 0, stored = 0, most = 0;
   for (size_t k = 0; k < group.member.size(); ++k) {
@@ -245,18 +275,22 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
     most = std::max(most, impulse[k].linear.norm());
   }
   const double before = kinetic.after(std::vector<Load>(impulse.size()));
-  const std::vector<Load> more = against_the_way(island, group, now, impulse);
+  const std::vector<Load> more = against_the_way(island, group, now, impulse, partner_loads);
   double size = 0;
   for (const Load& each : more) size = std::max(size, each.linear.norm());
   const double square = kinetic.of(more);
+  double by = 0;
   if (size > 0 && square > 0) {
     const double gained = kinetic.after(impulse) - before;
     std::vector<Load> with = impulse;
     for (size_t k = 0; k < with.size(); ++k) with[k] = with[k] + more[k];
     const double linear = kinetic.after(with) - before - gained - square;
     const double limit = most_correction * most / size;
-    const double by = std::clamp(smallest_share(linear, square, spring - stored - gained), -limit, limit);
+    by = std::clamp(smallest_share(linear, square, spring - stored - gained), -limit, limit);
     for (size_t k = 0; k < impulse.size(); ++k) impulse[k] = impulse[k] + by * more[k];
+  }
+  for (std::vector<PartnerLoad>& each : partner_loads) {
+    for (PartnerLoad& from : each) from.balance *= by;
   }
   double gained = kinetic.after(impulse) - before;
   const double whole = kinetic.of(impulse);
@@ -278,14 +312,16 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
 
 // Damps the way of slow contacts of cars that their hosts press on something, by no more than what presses them. The materials
 // do not: without this a car that its weight presses on another would hum for ever, and creep along meanwhile.
-void calm(std::span<Member> island, const PairGroup& group, const Substep& now, std::vector<Load>& impulse) {
+void calm(std::span<Member> island, const PairGroup& group, const Substep& now, std::vector<Load>& impulse,
+          PartnerLoads& partner_loads) {
   double most = 0;  // N s
   for (uint32_t k : group.member) {
     const StepInput& input = island[k].input;
     if (std::isfinite(input.mass.mass)) most = std::max(most, now.seconds * input.mass.mass * input.pull.norm());
   }
   if (most == 0) return;
-  const std::vector<Load> more = against_the_way(island, group, now, impulse, slow_way);
+  PartnerLoads damped(group.member.size());
+  const std::vector<Load> more = against_the_way(island, group, now, impulse, damped, slow_way);
   const Kinetic kinetic(island, group, pressing_velocity(island, group, now));
   double size = 0;
   for (const Load& each : more) size = std::max(size, each.linear.norm());
@@ -300,6 +336,9 @@ void calm(std::span<Member> island, const PairGroup& group, const Substep& now, 
   const double by = std::min(std::min(1.0, now.seconds / calm_seconds) * -linear / (2 * square), most / size);
   if (!(by > 0)) return;
   impulse = with(by);
+  for (size_t k = 0; k < damped.size(); ++k) {
+    for (const PartnerLoad& from : damped[k]) load_of(from.key, partner_loads[k]).calm = by * from.balance;
+  }
   const double lost = (before - kinetic.after(impulse)) / double(group.member.size());
   for (uint32_t k : group.member) island[k].state.body.absorbed += std::max(0.0, lost);
 }
@@ -308,16 +347,25 @@ void calm(std::span<Member> island, const PairGroup& group, const Substep& now, 
 
 void react(std::span<Member> island, const PairGroup& group, const Substep& now, double h) {
   std::vector<Load> load, impulse, begun;
+  PartnerLoads partner_loads(group.member.size());
   for (uint32_t k : group.member) {
-    island[k].state.result.contacts = 0;
+    StepResult& result = island[k].state.result;
+    result.contacts = 0;
+    for (PartnerResult& each : result.partners) each.contacts = 0;
     load.push_back(push_by_obstacles(island[k]));
   }
-  push_by_cars(island, group, load);
   for (size_t k = 0; k < load.size(); ++k) {
-    // Mean of the forces at both ends of the sub-step. The first half has moved the cars for now.seconds, of which h is the
-    // nearest number in single precision: with h, cars that touch each other would gain spin.
+    for (const auto& [partner, force] : island[group.member[k]].state.body.pairs.push) {
+      load_of(partner, partner_loads[k]).before = force;
+    }
+  }
+  push_by_cars(island, group, load, partner_loads);
+  // The first half has moved the cars already for now.seconds, of which h is the nearest number in single precision: with h,
+  // cars that touch each other would gain spin.
+  const double first = group.member.size() > 1 ? 0.5 * (now.seconds - h) : 0;
+  for (size_t k = 0; k < load.size(); ++k) {
+    // Mean of the forces at both ends of the sub-step.
     const auto& [body, motion, result, spring] = island[group.member[k]].state;
-    const double first = group.member.size() > 1 ? 0.5 * (now.seconds - h) : 0;
     const Load before{body.force, body.moment};
     impulse.push_back(Load{0.5 * h * (body.force + load[k].linear), 0.5 * h * (body.moment + load[k].angular)} +
                       first * before);
@@ -332,9 +380,9 @@ void react(std::span<Member> island, const PairGroup& group, const Substep& now,
         balancing_share(island[group.member.front()].input.mass, impulse.front(), pressing_velocity(island, group, now), state);
     impulse.front() = share * impulse.front();
   } else {
-    balance(island, group, now, begun, impulse, share);
+    balance(island, group, now, begun, impulse, share, partner_loads);
   }
-  calm(island, group, now, impulse);
+  calm(island, group, now, impulse, partner_loads);
   for (size_t k = 0; k < load.size(); ++k) {
     Member& car = island[group.member[k]];
     auto& [body, motion, result, spring] = car.state;
@@ -344,6 +392,13 @@ void react(std::span<Member> island, const PairGroup& group, const Substep& now,
     push(impulse[k].linear, impulse[k].angular, car.input.mass, motion);
     result.impulse += impulse[k].linear;
     result.angular_impulse += impulse[k].angular;
+    body.pairs.push.clear();
+    for (const PartnerLoad& from : partner_loads[k]) {
+      PartnerResult& partner = result_of(from.key, result.partners);
+      partner.impulse += share * (0.5 * h * (from.before + from.now) + first * from.before + from.balance) + from.calm;
+      partner.contacts = from.contacts;
+      if (from.contacts > 0) body.pairs.push.push_back({from.key, std::min(1.0, share) * from.now});
+    }
   }
 }
 

@@ -398,10 +398,38 @@ PairCandidates candidates_of(const Member& car, const Member& other, const Relat
   return out;
 }
 
+// The triangles of a car by where they lie along x and y. So a point meets only those above it, below it and beside it.
+class Columns {
+ public:
+  Columns(const Boundary& boundary, const DeformableState& body)
+      : flat_(flattened(body.node)),
+        all_(boundary.triangle.size()),
+        grid_(box_of(body), born_inside + at_surface, boundary, number(all_), flat_) {}
+  // All triangles within born_inside of the vertical line through p, and others.
+  std::span<const uint32_t> around(const Vec3& p) const { return grid_.near(p); }
+
+ private:
+  static std::vector<Vec3> flattened(std::vector<Vec3> node) {
+    for (Vec3& each : node) each.z() = 0;
+    return node;
+  }
+  static Bounds box_of(const DeformableState& body) {
+    return {{body.low.x(), body.low.y(), 0}, {body.high.x(), body.high.y(), 0}};
+  }
+  static std::span<const uint32_t> number(std::vector<uint32_t>& all) {
+    std::iota(all.begin(), all.end(), 0u);
+    return all;
+  }
+  std::vector<Vec3> flat_;
+  std::vector<uint32_t> all_;
+  Grid grid_;
+};
+
 // Whether p is inside a closed surface: a ray upwards leaves it once more than it enters it.
-bool is_inside(const Vec3& p, const Boundary& boundary, const std::vector<Vec3>& node) {
+bool is_inside(const Vec3& p, const Boundary& boundary, const Columns& columns, const std::vector<Vec3>& node) {
   bool inside = false;
-  for (const auto& triangle : boundary.triangle) {
+  for (const uint32_t each : columns.around(p)) {
+    const auto& triangle = boundary.triangle[each];
     const Vec3* corner[3] = {&node[triangle[0]], &node[triangle[1]], &node[triangle[2]]};
     bool under = false;  // p lies below or above the triangle: a line along x crosses one edge on either side
     for (int k = 0; k < 3; ++k) {
@@ -421,17 +449,19 @@ bool is_inside(const Vec3& p, const Boundary& boundary, const std::vector<Vec3>&
 }
 
 // Whether a point is deeper inside than any contact lets it come.
-bool is_deep(const Vec3& p, const Boundary& boundary, const std::vector<Vec3>& node) {
-  if (!is_inside(p, boundary, node)) return false;
-  return std::none_of(boundary.triangle.begin(), boundary.triangle.end(), [&](const auto& t) {
+bool is_deep(const Vec3& p, const Boundary& boundary, const Columns& columns, const std::vector<Vec3>& node) {
+  if (!is_inside(p, boundary, columns, node)) return false;
+  const std::span<const uint32_t> around = columns.around(p);
+  return std::none_of(around.begin(), around.end(), [&](uint32_t each) {
+    const auto& t = boundary.triangle[each];
     return nearest_on(p, node[t[0]], node[t[1]], node[t[2]]).squared < born_inside * born_inside;
   });
 }
 
 // Whether a car stands inside another although no contact let it in: it was spawned, put or loaded there. Such cars pass
 // through each other until they have parted. Tests some nodes of a car that has just come near, and of one that is passing
-// already.
-bool begins_inside(const Member& car, const Member& other, const Relative& frame) {
+// already. columns: of the other car; made when a test needs them.
+bool begins_inside(const Member& car, const Member& other, const Relative& frame, std::optional<Columns>& columns) {
   const PairMemory& memory = car.state.body.pairs;
   const auto has = [&](const std::vector<uint64_t>& keys) { return std::binary_search(keys.begin(), keys.end(), other.key); };
   const bool passes = has(memory.passing);
@@ -442,8 +472,10 @@ bool begins_inside(const Member& car, const Member& other, const Relative& frame
   for (size_t k = 0; k < nodes.size(); k += step) {
     const Vec3 p = at(frame, nodes[k]);
     if (!box.has(p)) continue;
+    const Boundary& boundary = *other.input.model.boundary;
+    if (!columns) columns.emplace(boundary, other.state.body);
     const auto within = passes ? is_inside : is_deep;  // once they pass, until they have parted
-    if (within(p, *other.input.model.boundary, other.state.body.node)) return true;
+    if (within(p, boundary, *columns, other.state.body.node)) return true;
   }
   return false;
 }
@@ -454,21 +486,30 @@ std::vector<float> find_pair_candidates(std::span<Member> island, std::vector<Pa
   out.clear();
   std::vector<float> travel(island.size(), 0.0f);
   std::vector<PairMemory> memory(island.size());
+  std::vector<std::optional<Columns>> columns(island.size());
   for (uint32_t a = 0; a < island.size(); ++a) {
-    for (uint32_t b = a + 1; b < island.size(); ++b) {
+    const std::vector<uint32_t>* near_a = island[a].near;
+    const uint32_t count = near_a ? uint32_t(near_a->size()) : uint32_t(island.size());
+    for (uint32_t each = 0; each < count; ++each) {
+      const uint32_t b = near_a ? (*near_a)[each] : each;
+      if (b <= a) continue;
       const Member &first = island[a], &second = island[b];
       const RelativePath there = path_of(first, second), back = path_of(second, first);
       const float way = std::max(travel_of(there, first), travel_of(back, second)), near = 2 * way + contact_margin;
       if (far_apart(first, second, near)) continue;
-      PairCandidates found[2] = {candidates_of(first, second, there.from, near), candidates_of(second, first, back.from, near)};
-      if (found[0].node.empty() && found[1].node.empty()) continue;
-      memory[a].near.push_back(second.key);
-      memory[b].near.push_back(first.key);
-      if (begins_inside(first, second, there.from) || begins_inside(second, first, back.from)) {
-        memory[a].passing.push_back(second.key);
-        memory[b].passing.push_back(first.key);
+      const auto meet = [&](bool passing) {
+        for (const auto& [car, other] : {std::pair(a, b), std::pair(b, a)}) {
+          memory[car].near.push_back(island[other].key);
+          if (passing) memory[car].passing.push_back(island[other].key);
+        }
+      };
+      if (begins_inside(first, second, there.from, columns[b]) || begins_inside(second, first, back.from, columns[a])) {
+        meet(true);
         continue;
       }
+      PairCandidates found[2] = {candidates_of(first, second, there.from, near), candidates_of(second, first, back.from, near)};
+      if (found[0].node.empty() && found[1].node.empty()) continue;
+      meet(false);
       travel[a] = std::max(travel[a], way);
       travel[b] = std::max(travel[b], way);
       for (int k = 0; k < 2; ++k) {

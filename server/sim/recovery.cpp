@@ -69,6 +69,10 @@ void back_up(DeformableState& body, Backup& backup) {
 bool is_finite(const DeformableState& body, const Motion& motion) {
   bool all = motion.pose.position.allFinite() && motion.velocity.allFinite() && motion.angular_velocity.allFinite();
   for (const Vec3& node : body.node) all = all && node.allFinite();
+  for (const PairMemory::Touch& touch : body.pairs.touch) {
+    all = all && touch.normal.allFinite() && std::isfinite(touch.pressure) && touch.friction.allFinite();
+  }
+  for (const PairMemory::Push& push : body.pairs.push) all = all && push.force.allFinite();
   return all && std::isfinite(body.absorbed) && std::isfinite(body.stored) && std::isfinite(body.owed);
 }
 

@@ -42,11 +42,13 @@ void stay_at_rest(const StepInput& input, const Substep& now, StepState& state) 
   if (!body.touching) {
     body.force.setZero();
     body.moment.setZero();
+    body.pairs.push.clear();
     return;
   }
   push(now.seconds * body.force, now.seconds * body.moment, input.mass, motion);
   result.impulse += now.seconds * body.force;
   result.angular_impulse += now.seconds * body.moment;
+  for (const auto& [partner, force] : body.pairs.push) result_of(partner, result.partners).impulse += now.seconds * force;
 }
 
 void hold_anchors(const Model& model, const ContactSet& contacts, const PairIndex* pairs, DeformableState& body) {

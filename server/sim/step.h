@@ -1,7 +1,9 @@
 // One tick of one car: its inputs, the state that it changes, and its result. Memory used only within the tick is in scratch.h.
 #pragma once
 
+#include <algorithm>
 #include <span>
+#include <vector>
 
 #include "sim/body.h"
 #include "sim/material.h"
@@ -22,6 +24,13 @@ struct StepInput {
   Eigen::Vector3d pull = Eigen::Vector3d::Zero();
 };
 
+// What another car did to this one in the tick.
+struct PartnerResult {
+  uint64_t key;                                       // Member::key of the other car
+  Eigen::Vector3d impulse = Eigen::Vector3d::Zero();  // N s, world axes; the other car got the opposite
+  uint32_t contacts = 0;                              // between the two at the end of the tick
+};
+
 // What the tick did to the rigid motion. World axes; angular impulse about the centre of mass.
 struct StepResult {
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();          // N s
@@ -34,6 +43,7 @@ struct StepResult {
   float residual = 0;             // rms over awake nodes of what the last sweeps moved, m; the largest of all sub-steps
   bool contact_overflow = false;  // a node met more than contacts_per_node planes: the deepest were kept
   bool recovered = false;         // the tick ended with a number that is not finite and was undone
+  std::vector<PartnerResult> partners = {};  // cars that touched this one, ascending by key
 };
 
 // The state that a tick changes.
@@ -43,6 +53,14 @@ struct StepState {
   StepResult result = {};
   double spring = 0;  // energy that the body should store by what the motion gave it, J (energy_balance.h)
 };
+
+// The entry of a car in a list that is sorted by key; adds it if there is none.
+inline PartnerResult& result_of(uint64_t key, std::vector<PartnerResult>& partners) {
+  auto at = std::lower_bound(partners.begin(), partners.end(), key,
+                             [](const PartnerResult& each, uint64_t wanted) { return each.key < wanted; });
+  if (at == partners.end() || at->key != key) at = partners.insert(at, PartnerResult{key});
+  return *at;
+}
 
 // A part of the tick.
 struct Substep {

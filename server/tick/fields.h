@@ -85,7 +85,7 @@ void field(File& file, Is<AndersonHistory> auto& history) {
 }
 template <class File>
 void field(File& file, Is<PairMemory> auto& memory) {
-  field(file, memory.touch, memory.near, memory.passing);
+  field(file, memory.touch, memory.push, memory.near, memory.passing);
 }
 template <class File>
 void field(File& file, Is<DeformableState> auto& body) {

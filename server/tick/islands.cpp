@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include "sim/contacts.h"
@@ -58,6 +59,12 @@ bool beyond(const Instance& a, const Instance& b, double near) {
          ((a.body.low - center - extent).array() > float(near)).any();
 }
 
+// Whether one pressed against the other at the end of the last tick.
+bool pressed(const Instance& car, const Instance& other) {
+  const std::vector<PairMemory::Push>& push = car.body.pairs.push;
+  return std::any_of(push.begin(), push.end(), [&](const PairMemory::Push& each) { return each.partner == other.key; });
+}
+
 // How near the spheres around two cars come to each other within this tick, m; below 0: they overlap.
 double gap_of(const World& world, const Instance& a, const Instance& b) {
   const Vector3d way = center_of(b) - center_of(a), change = (b.motion.velocity - a.motion.velocity) / world.rate;
@@ -101,10 +108,11 @@ void forget_placed(const std::vector<Instance*>& cars) {
       return car->placed || std::binary_search(placed.begin(), placed.end(), key);
     };
     const auto passes = [&](uint64_t key) { return std::binary_search(memory.passing.begin(), memory.passing.end(), key); };
+    const size_t pushes = std::erase_if(memory.push, [&](const PairMemory::Push& push) { return is_forgotten(push.partner); });
     const size_t touches =
         std::erase_if(memory.touch, [&](const PairMemory::Touch& touch) { return is_forgotten(touch.partner); });
     const size_t neighbours = std::erase_if(memory.near, [&](uint64_t key) { return is_forgotten(key) && !passes(key); });
-    if (touches + neighbours > 0) car->hashes.body = hash(car->body);
+    if (pushes + touches + neighbours > 0) car->hashes.body = hash(car->body);
   }
   for (Instance* car : cars) car->placed = false;
 }
@@ -128,7 +136,7 @@ void find_neighbours(const World& world, const std::vector<Instance*>& cars) {
     for (size_t k = i + 1; k < reach.size() && reach[k].low.x() <= reach[i].high.x(); ++k) {
       const Instance& b = *cars[reach[k].car];
       if ((stands(a) && stands(b)) || !reach[i].meets(reach[k])) continue;
-      const double gap = gap_of(world, a, b);
+      const double gap = pressed(a, b) ? -std::numeric_limits<double>::infinity() : gap_of(world, a, b);
       nearest[reach[i].car].add(gap, reach[k].car);
       nearest[reach[k].car].add(gap, reach[i].car);
     }
@@ -159,6 +167,19 @@ void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vec
   }
 }
 
+std::vector<std::vector<uint32_t>> near_in(std::span<Instance* const> island) {
+  std::vector<std::vector<uint32_t>> out(island.size());
+  if (island.size() == 1) return out;
+  for (size_t k = 0; k < island.size(); ++k) {
+    for (const uint32_t order : island[k]->near) {
+      const auto found = std::lower_bound(island.begin(), island.end(), order,
+                                          [](const Instance* car, uint32_t wanted) { return car->order < wanted; });
+      if (found != island.end() && (*found)->order == order) out[k].push_back(uint32_t(found - island.begin()));
+    }
+  }
+  return out;
+}
+
 std::vector<Island> find_islands(const World& world, const std::vector<Instance*>& cars) {
   std::vector<uint32_t> lowest(cars.size());
   std::iota(lowest.begin(), lowest.end(), 0u);
@@ -166,6 +187,7 @@ std::vector<Island> find_islands(const World& world, const std::vector<Instance*
     while (lowest[i] != i) i = lowest[i] = lowest[lowest[i]];
     return i;
   };
+  std::vector<std::pair<uint32_t, uint32_t>> pairs;
   for (uint32_t k = 0; k < cars.size(); ++k) {
     for (uint32_t other : cars[k]->near) {
       if (other < k) continue;
@@ -173,9 +195,17 @@ std::vector<Island> find_islands(const World& world, const std::vector<Instance*
       // A contact may turn the whole way of one into that of the other.
       const double near = 2 * (travel_of(a, 1 / world.rate) + travel_of(b, 1 / world.rate)) + double(contact_margin);
       if (beyond(a, b, near) || beyond(b, a, near)) continue;
-      const uint32_t first = root(k), second = root(other);
-      lowest[std::max(first, second)] = std::min(first, second);
+      pairs.emplace_back(k, other);
     }
+  }
+  std::stable_partition(pairs.begin(), pairs.end(),
+                        [&](const auto& pair) { return pressed(*cars[pair.first], *cars[pair.second]); });
+  std::vector<size_t> size(cars.size(), 1);
+  for (const auto& [k, other] : pairs) {
+    const auto [first, second] = std::minmax({root(k), root(other)});
+    if (first == second || size[first] + size[second] > island_limit) continue;
+    lowest[second] = first;
+    size[first] += size[second];
   }
   std::vector<Island> out;
   std::vector<uint32_t> island(cars.size());

@@ -78,6 +78,7 @@ void move(const World& world, std::span<Instance* const> island, Worker& worker)
   std::vector<Member> members;
   parameters.reserve(island.size());  // members point to them
   while (worker.scratch.size() < island.size()) worker.scratch.push_back(make_scratch());
+  const std::vector<std::vector<uint32_t>> near = near_in(island);
   for (size_t k = 0; k < island.size(); ++k) {
     Instance& car = *island[k];
     parameters.push_back(car.parameters);
@@ -85,7 +86,7 @@ void move(const World& world, std::span<Instance* const> island, Worker& worker)
     parameters.back().substeps = car.substeps;
     before.push_back(car.motion);
     const StepInput input{car.car->model, parameters.back(), car.mass, world.obstacles, 1 / world.rate, car.pull};
-    members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}});
+    members.push_back({input, car.key, *worker.scratch[k], {car.body, car.motion}, &near[k]});
   }
   deform(members, world.clock ? &timer : nullptr);
   for (size_t k = 0; k < island.size(); ++k) {
@@ -164,8 +165,8 @@ void prepare_car(const World& world, const std::vector<Instance*>& cars, Instanc
 
 // The fields that may change in a body that is not solved: what it rests against moves on or leaves, or a car comes near.
 auto of_rest(const DeformableState& body) {
-  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment, body.pairs.near,
-                    body.pairs.passing);
+  return std::tuple(body.touching, body.settled, body.drift, body.owed, body.force, body.moment, body.pairs.push,
+                    body.pairs.near, body.pairs.passing);
 }
 
 bool stands(const Motion& motion) { return motion.velocity.isZero(0) && motion.angular_velocity.isZero(0); }
@@ -298,12 +299,31 @@ void tell_viewers(World& world, Outbox& outbox) {
   }
 }
 
+// Cars by their keys, if any car has touched another.
+using Named = std::map<uint64_t, std::map<std::string, Instance>::const_iterator>;
+Named name_partners(const World& world) {
+  Named out;
+  const auto met = [](const auto& each) { return !each.second.result.partners.empty(); };
+  if (std::none_of(world.cars.begin(), world.cars.end(), met)) return out;
+  for (auto car = world.cars.begin(); car != world.cars.end(); ++car) out.emplace(car->second.key, car);
+  return out;
+}
+
 void tell_hosts(const World& world, Outbox& outbox) {
+  const auto by_id = [](const CarReaction::Partner& a, const CarReaction::Partner& b) { return a.car < b.car; };
   std::map<std::string, std::vector<CarReaction>> reactions;
+  const Named names = name_partners(world);
   for (const auto& [id, car] : world.cars) {
     const bool lately = car.touched_tick != 0 && world.tick - car.touched_tick <= reaction_echo;
     if (!lately && car.body.settled) continue;
-    reactions[car.host].push_back({id, car.motion, car.result, car.body.absorbed, car.body.stored});
+    CarReaction& reaction =
+        reactions[car.host].emplace_back(CarReaction{id, car.motion, car.result, car.body.absorbed, car.body.stored, {}});
+    for (const PartnerResult& each : car.result.partners) {
+      const auto found = names.find(each.key);
+      if (found == names.end()) continue;
+      reaction.partners.push_back({found->second->first, found->second->second.host, each.impulse, each.contacts});
+    }
+    std::sort(reaction.partners.begin(), reaction.partners.end(), by_id);
   }
   for (const auto& [host, cars] : reactions) {
     outbox.push_back({"host/" + host + "/reactions", encode_reactions(world.tick, double(world.tick) / world.rate, cars)});

@@ -44,12 +44,19 @@ Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction
   std::vector<flatbuffers::Offset<schema::Reaction>> cars;
   for (const CarReaction& reaction : reactions) {
     const auto car = builder.CreateString(reaction.car);
+    std::vector<flatbuffers::Offset<schema::Partner>> partners;
+    for (const CarReaction::Partner& each : reaction.partners) {
+      const auto given = vec3(each.impulse);
+      partners.push_back(schema::CreatePartnerDirect(builder, each.car.c_str(), each.host.c_str(), &given, each.contacts));
+    }
+    // Absent if there are none: then the message has the bytes that it had before there were partners.
+    const auto partner_list = partners.empty() ? 0 : builder.CreateVector(partners);
     const auto impulse = vec3(reaction.result.impulse), angular_impulse = vec3(reaction.result.angular_impulse);
     const auto velocity = vec3(reaction.motion.velocity), angular_velocity = vec3(reaction.motion.angular_velocity);
     const auto pose = wire_pose(reaction.motion.pose);
     cars.push_back(schema::CreateReaction(builder, car, &impulse, &angular_impulse, &pose, &velocity, &angular_velocity,
-                                          reaction.absorbed, reaction.stored, reaction.result.deepest,
-                                          reaction.result.contacts));
+                                          reaction.absorbed, reaction.stored, reaction.result.deepest, reaction.result.contacts,
+                                          partner_list));
   }
   const auto list = builder.CreateVector(cars);
   return finish(builder, schema::CreateReactions(builder, tick, time, list));

@@ -16,6 +16,12 @@ struct CarReaction {
   Motion motion;  // at the end of the tick
   StepResult result;
   double absorbed = 0, stored = 0;  // J
+  struct Partner {
+    std::string car, host;
+    Eigen::Vector3d impulse;  // N s, world axes
+    uint32_t contacts;
+  };
+  std::vector<Partner> partners;  // in the order of the message
 };
 Bytes encode_reactions(uint64_t tick, double time, const std::vector<CarReaction>&);
 

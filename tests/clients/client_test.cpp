@@ -566,6 +566,26 @@ TEST(Client, WithoutANetworkHoldsWhatItIsFed) {
   CrumpleReaction taken{};
   ASSERT_EQ(crumple_take_reactions(session, &taken, 1), 1u);
   EXPECT_EQ(taken.tick, 4u);
+  EXPECT_EQ(taken.partner_count, 0u);
+
+  reaction.partners = {{"b", "i", {1, 2, 3}, 4}, {"c", "h", {-1, 0, 0}, 0}};
+  const std::string reactions_key = "crumple/1/main/host/h/reactions";
+  EXPECT_EQ(fed.feed(encode_reactions(5, 0.1, {reaction, reaction}), reactions_key.c_str()), CRUMPLE_OK);
+  CrumpleReaction both[2] = {};
+  ASSERT_EQ(crumple_take_reactions(session, both, 2), 2u);
+  for (const CrumpleReaction& each : both) {
+    ASSERT_EQ(each.partner_count, 2u);
+    EXPECT_STREQ(each.partners[0].car, "b");
+    EXPECT_STREQ(each.partners[0].host, "i");
+    EXPECT_EQ(each.partners[0].impulse[2], 3);
+    EXPECT_EQ(each.partners[0].contacts, 4u);
+    EXPECT_STREQ(each.partners[1].car, "c");
+  }
+  reaction.partners[1].host = "no/id";
+  EXPECT_EQ(fed.feed(encode_reactions(6, 0.1, {reaction}), reactions_key.c_str()), CRUMPLE_BAD_ARGUMENT);
+  reaction.partners.assign(1000, {"b", "i", {1, 2, 3}, 4});
+  EXPECT_EQ(fed.feed(encode_reactions(7, 0.1, {reaction}), reactions_key.c_str()), CRUMPLE_BAD_ARGUMENT);
+  EXPECT_EQ(crumple_take_reactions(session, both, 2), 0u);
 
   // Functions that need a network return an error.
   uint64_t ticket = 0;

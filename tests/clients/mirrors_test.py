@@ -23,7 +23,7 @@ CARRIED = {
     "Pose": ["Pose"],
     "CarPose": ["CarPose"], "Poses": ["publish_poses"], "Obstacle": ["Obstacle"], "Obstacles": ["publish_obstacles"],
     "Spawn": ["spawn", "Spawn"], "Despawn": ["despawn"], "Repair": ["repair"], "Parameters": ["Parameters"], "Save": ["save"],
-    "Load": ["load"], "Answer": ["Answer"], "Reactions": ["Reaction"], "Reaction": ["Reaction"], "Keyframe": ["Surface"],
+    "Load": ["load"], "Answer": ["Answer"], "Reactions": ["Reaction"], "Reaction": ["Reaction"], "Partner": ["Partner"], "Keyframe": ["Surface"],
     "Delta": ["Surface"], "Health": ["Health"],
 }
 NOT_CARRIED = {
@@ -56,6 +56,7 @@ FITTING = {
     "Vec3d": ("double[3]", "Double3", "Vector"), "Quat": ("float[4]", "Rotation", "Vector"),
     "[ubyte]": ("const uint8_t*|const void*", "IntPtr|byte[]", "bytes"),
     "Pose": ("CrumplePose", "Pose", "Pose"), "Shape": ("int", "Shape", "Shape"), "Solver": ("int", "Solver", "Solver"),
+    "[Partner]": ("const CrumplePartner*", "IntPtr", "tuple[Partner, ...]"),
     "[CarPose]": ("const CrumpleCarPose*", "CarPose[]", "Sequence[CarPose]"),
     "[Obstacle]": ("const CrumpleObstacle*", "Obstacle[]", "Sequence[Obstacle]"),
 }

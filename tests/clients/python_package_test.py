@@ -195,6 +195,20 @@ class ThePackage(WithServer):
                 self.assertEqual((sought.tick, sought.hash), (walked[tick].tick, walked[tick].hash))
                 self.assertEqual(told[sought.tick], sought.hash)
 
+    def test_a_reaction_names_the_car_that_touched_this_one_and_what_it_gave(self):
+        given = {}
+        with crumple.Recording(ROOT / "recordings/m130_head_on.mcap") as recording:
+            for frame in recording.frames():
+                for each in frame.reactions():
+                    for partner in each.partners:
+                        given[each.tick, each.car] = partner
+        cars = {"head_on_left": "head_on_right", "head_on_right": "head_on_left"}
+        self.assertEqual({car for _, car in given}, set(cars))
+        for (tick, car), partner in given.items():
+            self.assertEqual((partner.car, partner.host), (cars[car], cars[car]))
+            np.testing.assert_array_equal(partner.impulse, -np.array(given[tick, partner.car].impulse))
+        self.assertGreater(max(partner.contacts for partner in given.values()), 5)
+
     def test_a_recording_that_another_program_wrote_anew_is_as_good(self):
         source = ROOT / "recordings/built_in_pole.mcap"
         for compression in (CompressionType.ZSTD, CompressionType.NONE):

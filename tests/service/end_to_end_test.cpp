@@ -1,4 +1,5 @@
 // Tests whole sessions from the first pose to the recording, as a user sees them.
+#include <map>
 #include <regex>
 #include <thread>
 
@@ -362,12 +363,14 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   EXPECT_LT(crush(stiff), crush(drive)) << stiff.text << drive.text;
 }
 
-// Two hosts drive two cars at each other. Both are told, a third program sees both dents, and the recording verifies.
+// Two hosts drive two cars at each other. Both are told of each other, a third program sees both dents, and the recording
+// verifies.
 TEST_F(EndToEnd, TwoHostsCrashTheirCarsIntoEachOther) {
   start_server(path("head_on.mcap"));
   Crumple* viewer = open();
   ASSERT_NE(viewer, nullptr);
   ASSERT_EQ(crumple_follow(viewer, nullptr, 0), CRUMPLE_OK);
+  Crumple* hosts[2] = {open("left"), open("right")};  // hear what the two programs are told
   const auto drive = [&](const std::string& id, const std::string& start) {
     const std::string scene = path((id + ".json").c_str());
     std::ofstream(scene) << R"({"about": "One of two.", "obstacles": [], "hits": [)" << start << "]}";
@@ -382,6 +385,30 @@ TEST_F(EndToEnd, TwoHostsCrashTheirCarsIntoEachOther) {
   EXPECT_EQ(right.code, 0) << right.text;
   for (const std::string& text : {left.text, right.text})
     EXPECT_NE(text.find("contact at 36.0 km/h"), std::string::npos) << text;
+
+  std::map<uint64_t, float> given[2];  // by tick, N s along x
+  const auto hear = [&](int k) {
+    CrumpleReaction reaction;
+    bool over = false;
+    while (crumple_take_reactions(hosts[k], &reaction, 1) == 1) {
+      over = reaction.partner_count == 0 && !given[k].empty();
+      if (reaction.partner_count == 0) continue;
+      EXPECT_EQ(reaction.partner_count, 1u);
+      EXPECT_STREQ(reaction.partners->car, k == 0 ? "right" : "left");
+      EXPECT_STREQ(reaction.partners->host, k == 0 ? "right" : "left");
+      given[k][reaction.tick] = reaction.partners->impulse[0];
+    }
+    return over;
+  };
+  for (int k = 0; k < 2; ++k) EXPECT_TRUE(until(hosts[k], [&] { return hear(k); })) << "no reaction names the other car";
+  size_t compared = 0;
+  for (const auto& [tick, impulse] : given[0]) {
+    const auto other = given[1].find(tick);
+    if (other == given[1].end()) continue;  // a busy machine may lose one
+    ++compared;
+    EXPECT_EQ(impulse, -other->second) << "tick " << tick;
+  }
+  EXPECT_GT(compared, 0u);
 
   Outcome watch;
   const auto has = [&](const char* text) { return watch.text.find(text) != std::string::npos; };

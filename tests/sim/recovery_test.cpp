@@ -3,6 +3,7 @@
 
 #include <Eigen/Dense>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <random>
 
@@ -231,6 +232,25 @@ TEST(LostShape, ABodyWithANodeThatIsNoNumberHeals) {
   EXPECT_EQ(undone, 0);
   EXPECT_LT(scene.farthest(), 1e-3f);
   EXPECT_TRUE(scene.body.settled);
+}
+
+// What a body keeps of other cars enters the next tick as its nodes do.
+TEST(LostShape, ATickIsUndoneIfWhatTheBodyKeepsOfOtherCarsIsNoNumber) {
+  const float none = std::numeric_limits<float>::quiet_NaN();
+  DeformableState sound;
+  sound.node = {Vec3::Zero()};
+  sound.pairs.touch = {{7, 0, Vec3::UnitX(), 1, Vec3::Zero()}};
+  sound.pairs.push = {{7, Eigen::Vector3d::UnitX()}};
+  EXPECT_TRUE(is_finite(sound, Motion{}));
+  const std::function<void(PairMemory&)> breaks[] = {
+      [&](PairMemory& pairs) { pairs.touch[0].normal.y() = none; }, [&](PairMemory& pairs) { pairs.touch[0].pressure = none; },
+      [&](PairMemory& pairs) { pairs.touch[0].friction.z() = none; },
+      [&](PairMemory& pairs) { pairs.push[0].force.x() = std::numeric_limits<double>::infinity(); }};
+  for (const auto& each : breaks) {
+    DeformableState broken = sound;
+    each(broken.pairs);
+    EXPECT_FALSE(is_finite(broken, Motion{}));
+  }
 }
 
 TEST(LostShape, ATickThatIsUndoneInTheMiddleOfACrashForgetsWhatMixingKnew) {

@@ -5,6 +5,7 @@
 #include <tbb/global_control.h>
 
 #include <deque>
+#include <map>
 
 #include "box_car.h"
 #include "host.h"
@@ -119,6 +120,88 @@ TEST(Islands, TheHostsOfTwoCarsThatMeetAreBothTold) {
   for (const char* id : {"left", "right"}) EXPECT_GT(dent(meeting->car(id)), 0.04f);
   EXPECT_LT(meeting->car("left").motion.velocity.x(), 0);
   EXPECT_GT(meeting->car("right").motion.velocity.x(), 0);
+}
+
+// The partners of a car in the last tick, as its host was told.
+std::vector<const schema::Partner*> partners_told(const Meeting& meeting, const std::string& id, const std::string& host) {
+  std::vector<const schema::Partner*> out;
+  for (const Message& message : meeting.outbox) {
+    if (message.key != "host/" + host + "/reactions") continue;
+    for (const auto* car : *host::read_as<schema::Reactions>(message.bytes)->cars()) {
+      if (car->car()->string_view() != id || !car->partners()) continue;
+      out.insert(out.end(), car->partners()->begin(), car->partners()->end());
+    }
+  }
+  return out;
+}
+
+TEST(Islands, EachReactionNamesTheOtherCarItsHostAndWhatItGave) {
+  const auto meeting = head_on();
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  int touching = 0;
+  for (int k = 0; k < 60; ++k) {
+    meeting->step();
+    const StepResult &left = meeting->car("left").result, &right = meeting->car("right").result;
+    ASSERT_EQ(left.partners.size(), right.partners.size());
+    const auto told = partners_told(*meeting, "left", "one"), other = partners_told(*meeting, "right", "two");
+    ASSERT_EQ(told.size(), left.partners.size());
+    if (left.partners.empty()) {
+      EXPECT_TRUE(left.impulse.isZero(0));
+      continue;
+    }
+    ASSERT_EQ(left.partners.size(), 1u);
+    const PartnerResult &of_left = left.partners.front(), &of_right = right.partners.front();
+    EXPECT_EQ(of_left.key, key_of("right"));
+    EXPECT_EQ(of_right.key, key_of("left"));
+    EXPECT_LE((of_left.impulse + of_right.impulse).norm(), 1e-12 * of_left.impulse.norm());
+    EXPECT_LE((of_left.impulse - left.impulse).norm(), 1e-12 * left.impulse.norm());
+    EXPECT_EQ(of_left.contacts, left.contacts);
+    touching += of_left.contacts > 0;
+    sum += of_left.impulse;
+    EXPECT_EQ(told.front()->car()->str() + " of " + told.front()->host()->str(), "right of two");
+    EXPECT_EQ(other.front()->car()->str() + " of " + other.front()->host()->str(), "left of one");
+    EXPECT_EQ(told.front()->impulse()->x(), float(of_left.impulse.x()));
+    EXPECT_EQ(other.front()->impulse()->x(), -told.front()->impulse()->x());
+    EXPECT_EQ(told.front()->contacts(), of_left.contacts);
+  }
+  EXPECT_GT(touching, 3);
+  EXPECT_NEAR(sum.x(), meeting->momentum("left").x() - 12 * 1200, 1e-6 * sum.norm());
+}
+
+// The one in the middle of a queue at a wall is touched on both sides; the first one also by the wall.
+TEST(Islands, OfSeveralPartnersEachIsNamedWithItsPart) {
+  Meeting meeting;
+  meeting.add("a", "one", 0, 0);
+  meeting.add("b", "two", -4.55, 0);
+  meeting.add("c", "one", -9.1, 0);
+  for (Driver& driver : meeting.drivers) driver.pose.velocity = {12, 0, 0};
+  meeting.step({{"host/wall/obstacles", host::obstacles(1, {{.pose = pose_at(2.75)}})}});
+  bool both = false;
+  for (int k = 0; k < 60; ++k) {
+    const auto told = partners_told(meeting, "b", "two");
+    if (told.size() == 2) {
+      both = true;
+      EXPECT_EQ(told[0]->car()->str(), "a");
+      EXPECT_EQ(told[1]->car()->str(), "c");
+      EXPECT_EQ(told[1]->host()->str(), "one");
+    }
+    std::map<std::pair<uint64_t, uint64_t>, Eigen::Vector3d> given;
+    for (const auto& [id, car] : meeting.world->cars) {
+      Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+      for (const PartnerResult& each : car.result.partners) {
+        given[{car.key, each.key}] = each.impulse;
+        sum += each.impulse;
+      }
+      if (id == "a") continue;  // the wall pushes it too
+      EXPECT_LE((sum - car.result.impulse).norm(), 1e-12 * car.result.impulse.norm()) << id << " in tick " << k;
+    }
+    for (const auto& [cars, impulse] : given) {
+      ASSERT_TRUE(given.contains({cars.second, cars.first}));
+      EXPECT_LE((impulse + given[{cars.second, cars.first}]).norm(), 1e-12 * impulse.norm());
+    }
+    meeting.step();
+  }
+  EXPECT_TRUE(both);
 }
 
 TEST(Islands, AreTheSameBitForBitOnAnyNumberOfThreads) {
@@ -242,20 +325,50 @@ TEST(Islands, AWorldSavedWhileTwoCarsTouchGoesOnBitForBit) {
   }
 }
 
-// Many cars in one place must not make a tick long: each notices at most `neighbour_limit` others.
+// Many cars in one place must not make a tick long: each notices at most `neighbour_limit` others, and is tested against these
+// alone; and an island has at most `island_limit` cars.
 TEST(Islands, ManyCarsInOnePlaceNoticeFew) {
   Meeting meeting;
   Inbox inbox;
   std::vector<CarPose> poses;
-  for (int k = 0; k < 30; ++k) {
+  for (int k = 0; k < 300; ++k) {
     poses.push_back({"car" + std::to_string(k), pose_at(0.01 * k), {1, 0, 0}});
     inbox.push_back({"car/" + poses.back().car, host::spawn(box()->hash, "game", poses.back().pose)});
   }
   inbox.push_back({"host/game/poses", host::poses(1, poses)});
   meeting.step(inbox);
-  size_t most = 0;
-  for (const auto& [id, car] : meeting.world->cars) most = std::max(most, car.near.size());
-  EXPECT_EQ(most, neighbour_limit);
+  for (int k = 0; k < 3; ++k) {
+    size_t most = 0, kept = 0;
+    for (const auto& [id, car] : meeting.world->cars) {
+      most = std::max(most, car.near.size());
+      kept = std::max(kept, car.body.pairs.near.size());
+      EXPECT_EQ(car.body.pairs.passing, car.body.pairs.near);
+    }
+    EXPECT_EQ(most, neighbour_limit);
+    EXPECT_LE(kept, neighbour_limit);
+    EXPECT_GT(kept, 0u);
+    meeting.step();
+  }
+  const uint64_t largest = meeting.world->tally.largest_island;
+  EXPECT_LE(largest, island_limit);
+  EXPECT_GT(largest, island_limit / 2);
+}
+
+// A crash in a crowd that is larger than an island: the two cars that press against each other stay in one.
+TEST(Islands, OfTooManyCarsThoseThatTouchStayTogether) {
+  const auto meeting = head_on();
+  meeting->run(3);
+  ASSERT_EQ(meeting->car("left").result.partners.size(), 1u);
+  Inbox inbox;
+  std::vector<CarPose> poses;
+  for (int k = 0; k < 200; ++k) {
+    poses.push_back({"a" + std::to_string(k), pose_at(0.02 * k - 2, 0.01 * k), {1, 0, 0}});
+    inbox.push_back({"car/" + poses.back().car, host::spawn(box()->hash, "crowd", poses.back().pose)});
+  }
+  inbox.push_back({"host/crowd/poses", host::poses(1, poses)});
+  meeting->step(inbox);
+  EXPECT_EQ(meeting->car("left").result.partners.size(), 1u);
+  EXPECT_LE(meeting->world->tally.largest_island, island_limit);
 }
 
 // Its way of half a second leads past more cars than it can notice. It hits the one that is nearest.

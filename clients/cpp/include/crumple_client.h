@@ -15,7 +15,7 @@ extern "C" {
 #endif
 
 // The version of all structs below; crumple_open refuses any other.
-#define CRUMPLE_CLIENT_VERSION 5u
+#define CRUMPLE_CLIENT_VERSION 6u
 
 enum CrumpleStatus {
   CRUMPLE_OK = 0,
@@ -162,6 +162,14 @@ typedef struct CrumpleObstacle {
 // Sends the whole list of this host, which replaces the list before.
 int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
+// Another car that touched the car of a reaction in the same tick.
+typedef struct CrumplePartner {
+  const char* car;
+  const char* host;   // of that car
+  float impulse[3];   // what it gave the car of the reaction, N s, world; that car got the opposite
+  uint32_t contacts;  // between the two at the end of the tick
+} CrumplePartner;
+
 typedef struct CrumpleReaction {
   const char* car;
   uint64_t tick;
@@ -172,6 +180,10 @@ typedef struct CrumpleReaction {
   double energy_absorbed, energy_stored;  // J since spawn
   float deepest;                          // m
   uint32_t contacts;
+  uint32_t partner_count;  // 0: no car touched it
+  // Sorted by the id of the car. What they and obstacles gave adds up to `impulse`. Valid until the next
+  // crumple_take_reactions.
+  const CrumplePartner* partners;
 } CrumpleReaction;
 // Gives reactions that were not taken yet, oldest first, and returns how many it gave. While more than 4096 wait, the session
 // drops the oldest.

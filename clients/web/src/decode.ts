@@ -235,6 +235,8 @@ export interface Reaction {
   /** J since spawn. */
   absorbed: number;
   contacts: number;
+  /** The cars that touched it in this tick, and what each of them gave it, N s, world. */
+  partners: { car: string; host: string; impulse: Vec3; contacts: number }[];
 }
 
 /** time: s, by the server's ticks */
@@ -245,6 +247,9 @@ export function readReactions(bytes: Uint8Array): { tick: bigint; time: number; 
     const cars = Array.from(each(message.carsLength(), (i) => message.cars(i)), (car) => ({
       car: car.car()!, tick, impulse: vec3(car.impulse()), pose: poseOf(car.pose()), velocity: vec3(car.velocity()),
       absorbed: car.energyAbsorbed(), contacts: car.contacts(),
+      partners: Array.from(each(car.partnersLength(), (i) => car.partners(i)), (it) => ({
+        car: it.car()!, host: it.host()!, impulse: vec3(it.impulse()), contacts: it.contacts(),
+      })),
     }));
     return { tick, time: message.time(), cars };
   });

@@ -7,10 +7,12 @@ from crumple.recording import Frame, Life, Recording
 from crumple.scene import Hit, Scene
 from crumple.session import Session, View
 from crumple.types import (
-    CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Part, PartKind, Pose, Reaction, Shape, Solver, Statistics, Surface, Vertices,
+    CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Part, PartKind, Partner, Pose, Reaction, Shape, Solver, Statistics, Surface,
+    Vertices,
 )
 
 __all__ = [
-    "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "Parameters", "Part", "PartKind", "Pose", "Reaction", "Recording",
-    "OwnMesh", "Refused", "Scene", "Session", "Shape", "Solver", "Statistics", "Surface", "Vertices", "View", "columns",
+    "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "OwnMesh", "Parameters", "Part", "PartKind",
+    "Partner", "Pose", "Reaction", "Recording", "Refused", "Scene", "Session", "Shape", "Solver", "Statistics", "Surface",
+    "Vertices", "View", "columns",
 ]

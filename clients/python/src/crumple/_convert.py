@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crumple._library import ffi, lib, text
-from crumple.types import CarPose, Obstacle, Parameters, Part, PartKind, Pose, Reaction, Vector
+from crumple.types import CarPose, Obstacle, Parameters, Part, PartKind, Partner, Pose, Reaction, Vector
 
 
 def part_of(part: Any) -> Part:
@@ -56,7 +56,8 @@ def c_parameters(parameters: Parameters) -> Any:
 # The memory layout of a CrumpleReaction. `car` is the address of its name.
 _struct = ffi.typeof("CrumpleReaction")
 _formats = {"car": np.dtype("u8"), "tick": np.dtype("u8"), "time": np.dtype("f8"), "contacts": np.dtype("u4"),
-            "energy_absorbed": np.dtype("f8"), "energy_stored": np.dtype("f8"), "deepest": np.dtype("f4")}
+            "energy_absorbed": np.dtype("f8"), "energy_stored": np.dtype("f8"), "deepest": np.dtype("f4"),
+            "partner_count": np.dtype("u4"), "partners": np.dtype("u8")}
 _pose = np.dtype([("position", "f8", 3), ("orientation", "f4", 4)], align=True)
 C_REACTION = np.dtype({
     "names": [name for name, _ in _struct.fields],
@@ -64,7 +65,7 @@ C_REACTION = np.dtype({
     "offsets": [at.offset for _, at in _struct.fields],
     "itemsize": ffi.sizeof(_struct),
 })
-# Reactions as one array, with the fields of Reaction: rows[["impulse", ...]], or columns(rows) for tables.
+# Reactions as one array, with the fields of Reaction except partners: rows[["impulse", ...]], or columns(rows) for tables.
 REACTION = np.dtype([("tick", "u8"), ("time", "f8"), ("car", "U32"), ("position", "f8", 3), ("orientation", "f4", 4)] + [
     (name, "f4", 3) for name in ("velocity", "angular_velocity", "impulse", "angular_impulse")
 ] + [("energy_absorbed", "f8"), ("energy_stored", "f8"), ("deepest", "f4"), ("contacts", "u4")])
@@ -84,7 +85,13 @@ def reaction_rows(taken: Any, count: int) -> NDArray[np.void]:
     return rows
 
 
-def reaction_of(row: Any) -> Reaction:
+def partners_of(reaction: Any) -> tuple[Partner, ...]:
+    """`reaction`: a CrumpleReaction that was taken last."""
+    given = (reaction.partners[k] for k in range(reaction.partner_count))
+    return tuple(Partner(text(each.car), text(each.host), tuple(each.impulse), each.contacts) for each in given)
+
+
+def reaction_of(row: Any, partners: tuple[Partner, ...]) -> Reaction:
     def vector(name: str) -> tuple[float, ...]:
         return tuple(row[name].tolist())
 
@@ -93,7 +100,7 @@ def reaction_of(row: Any) -> Reaction:
         angular_impulse=vector("angular_impulse"), pose=Pose(vector("position"), vector("orientation")),
         velocity=vector("velocity"), angular_velocity=vector("angular_velocity"),
         energy_absorbed=float(row["energy_absorbed"]), energy_stored=float(row["energy_stored"]),
-        deepest=float(row["deepest"]), contacts=int(row["contacts"]),
+        deepest=float(row["deepest"]), contacts=int(row["contacts"]), partners=partners,
     )
 
 

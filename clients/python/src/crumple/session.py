@@ -182,13 +182,18 @@ class View:
         return Statistics(*(getattr(out, name) for name in Statistics.__dataclass_fields__))
 
     def reaction_rows(self) -> NDArray[np.void]:
-        """Gives reactions() as a structured array."""
-        taken = ffi.new("CrumpleReaction[]", 4096)
-        return _convert.reaction_rows(taken, lib.crumple_take_reactions(self._handle, taken, 4096))
+        """Gives reactions() as a structured array, without their partners."""
+        return _convert.reaction_rows(*self._take_reactions())
 
     def reactions(self) -> list[Reaction]:
         """Gives the reactions that came since the last call, oldest first."""
-        return [_convert.reaction_of(row) for row in self.reaction_rows()]
+        taken, count = self._take_reactions()
+        rows = _convert.reaction_rows(taken, count)
+        return [_convert.reaction_of(row, _convert.partners_of(taken[k])) for k, row in enumerate(rows)]
+
+    def _take_reactions(self) -> tuple[Any, int]:
+        taken = ffi.new("CrumpleReaction[]", 4096)
+        return taken, lib.crumple_take_reactions(self._handle, taken, 4096)
 
 
 class Session(View):

@@ -84,6 +84,16 @@ class Parameters:
 
 
 @dataclass(frozen=True)
+class Partner:
+    """Another car that touched the car of a reaction in the same tick."""
+
+    car: str
+    host: str  # of that car
+    impulse: Vector  # what it gave the car of the reaction, N s, world; that car got the opposite
+    contacts: int  # between the two at the end of the tick
+
+
+@dataclass(frozen=True)
 class Reaction:
     """What one tick did to one car."""
 
@@ -99,6 +109,7 @@ class Reaction:
     energy_stored: float
     deepest: float  # m
     contacts: int
+    partners: tuple[Partner, ...] = ()  # sorted by car; what they and obstacles gave adds up to `impulse`
 
 
 @dataclass(frozen=True)
