@@ -55,7 +55,6 @@ struct Answer {
   std::vector<std::vector<Vector3d>> node;  // per car
   std::vector<PairContact> contact;         // of the last sub-step
   double depth = 0;                         // deepest dent, m
-  size_t passes = 0;
 
   // RMS over all nodes of both cars, relative to the deepest dent.
   double difference(const PileUp& solved) const {
@@ -70,7 +69,7 @@ struct Answer {
   }
 };
 
-Answer reference(const Press& press, int substeps, FlowLaw law = FlowLaw::secant) {
+Answer reference(const Press& press, int substeps, double tolerance = 1e-9) {
   const PileUp scene = press.scene();
   std::vector<std::vector<Pose>> path(2);
   std::vector<ReferenceState> state;
@@ -84,11 +83,11 @@ Answer reference(const Press& press, int substeps, FlowLaw law = FlowLaw::secant
   }
   for (size_t c = 0; c < 2; ++c) cars.push_back({scene.cars[c].car->model, scene.cars[c].parameters, path[c], state[c]});
   ReferenceOptions options;
-  options.law = law;
+  options.law = FlowLaw::secant;  // as the sweeps use
+  options.tolerance = tolerance;
   Answer out;
   follow_reference(cars, {}, h, options, [&](size_t k, std::span<const ReferenceStep> steps, std::span<const PairContact> met) {
     EXPECT_TRUE(steps.front().converged) << "sub-step " << k << ", residual " << steps.front().residual.back();
-    out.passes += steps.front().residual.size();
     out.contact.assign(met.begin(), met.end());
   });
   for (size_t c = 0; c < 2; ++c) {
@@ -171,12 +170,12 @@ TEST(ReferencePairs, DentsOfACrashComeToTheReferenceAsTheSweepsGrow) {
     int substeps;
     double usual, many;  // largest difference at the default settings and with few sweeps, and with 1000 sweeps
   };
-  // After 20 sub-steps corners slip past edges.
-  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 20, 0.01, 2e-5}, Case{0, 40, 0.05, 5e-4}}) {
+  // After some 20 sub-steps corners slip past edges.
+  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 20, 0.01, 2e-5}, Case{0, 30, 0.05, 5e-4}}) {
     const int substeps = sanitized ? 8 : whole;
     SCOPED_TRACE(testing::Message() << "friction " << friction << ", " << substeps << " sub-steps");
     const Press press{3, friction};
-    const Answer answer = reference(press, substeps);
+    const Answer answer = reference(press, substeps, 1e-7);
     EXPECT_GT(answer.depth, 0.7 * press.speed * substeps * h);
     for (const int sweeps : {0, 8, 24, 64, 1000}) {
       const double difference = answer.difference(press.solved(substeps, uint16_t(sweeps)));
