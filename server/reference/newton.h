@@ -6,6 +6,8 @@
 // so that it is. Contacts are an active set. A step is done when no node is farther from balance than 1e-9 of the largest force
 // of a tet on a corner. Convergence is quadratic; with friction it is linear, at about a tenth per pass, because the cone's
 // size lags by a pass.
+// Bodies that touch one another are one system. Their contacts are those of find_pairs, each an augmented Lagrangian that ends
+// when its force no longer changes: then gaps that press are closed, and the force is the multiplier.
 #pragma once
 
 #include <functional>
@@ -14,6 +16,7 @@
 
 #include "reference/law.h"
 #include "sim/contacts.h"
+#include "sim/pairs.h"
 
 namespace crumple {
 
@@ -45,12 +48,35 @@ struct ReferenceStep {
   double drag_work = 0;                             // J
 };
 
-// Solves and flows one sub-step of h seconds. Contacts: sorted by node, as find_contacts gives them.
+// A body in a sub-step. contacts: with obstacles, sorted by node, as find_contacts gives them.
+struct ReferenceBody {
+  const Model& model;
+  const Parameters& parameters;
+  std::span<const Contact> contacts;
+  ReferenceState& state;
+};
+
+// Solves and flows one sub-step of h seconds. car[k] of a contact between bodies is an index of `bodies`; its pressed, force
+// and heat are written, but are not in ReferenceStep. One result per body; they have the same residuals.
+std::vector<ReferenceStep> step_reference(std::span<const ReferenceBody> bodies, std::span<PairContact>, double h,
+                                          const ReferenceOptions&);
 ReferenceStep step_reference(const Model&, const Parameters&, std::span<const Contact>, double h, const ReferenceOptions&,
                              ReferenceState&);
 
-// Follows a prescribed path: in sub-step k the car's frame moves from path[k] to path[k + 1], and the obstacles move steadily.
-// find_contacts gives normals and offsets from a single-precision copy of the nodes. watch is called after each sub-step.
+// Follows prescribed paths, which are equally long: in sub-step k a car's frame moves from path[k] to path[k + 1], and the
+// obstacles move steadily. find_contacts and find_pairs give normals and offsets from a single-precision copy of the nodes.
+// watch is called after each sub-step with a result per car, and the contacts between cars.
+struct ReferenceCar {
+  const Model& model;
+  const Parameters& parameters;
+  std::span<const Pose> path;
+  ReferenceState& state;
+};
+using ReferencePairWatch = std::function<void(size_t substep, std::span<const ReferenceStep>, std::span<const PairContact>)>;
+void follow_reference(std::span<const ReferenceCar>, std::span<const Obstacle>, double h, const ReferenceOptions&,
+                      const ReferencePairWatch& watch);
+
+// The same for one car.
 using ReferenceWatch = std::function<void(size_t substep, const ReferenceStep&)>;
 void follow_reference(const Model&, const Parameters&, std::span<const Obstacle>, std::span<const Pose> path, double h,
                       const ReferenceOptions&, const ReferenceWatch& watch, ReferenceState&);
