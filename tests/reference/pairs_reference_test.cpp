@@ -170,8 +170,8 @@ TEST(ReferencePairs, DentsOfACrashComeToTheReferenceAsTheSweepsGrow) {
     int substeps;
     double usual, many;  // largest difference at the default settings and with few sweeps, and with 1000 sweeps
   };
-  // After some 20 sub-steps corners slip past edges.
-  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 20, 0.01, 2e-5}, Case{0, 30, 0.05, 5e-4}}) {
+  // After some 20 sub-steps without friction corners slip past edges.
+  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.01, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
     const int substeps = sanitized ? 8 : whole;
     SCOPED_TRACE(testing::Message() << "friction " << friction << ", " << substeps << " sub-steps");
     const Press press{3, friction};
