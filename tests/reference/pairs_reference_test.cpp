@@ -172,14 +172,15 @@ TEST(ReferencePairs, DentsOfACrashComeToTheReferenceAsTheSweepsGrow) {
   };
   // After some 20 sub-steps without friction corners slip past edges.
   for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.01, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
-    const int substeps = sanitized ? 8 : whole;
+    const int substeps = sanitized ? 8 : whole;                    // the reference is slow there
+    const double few = sanitized ? std::max(usual, 0.05) : usual;  // an error of the first sub-steps fades only later
     SCOPED_TRACE(testing::Message() << "friction " << friction << ", " << substeps << " sub-steps");
     const Press press{3, friction};
     const Answer answer = reference(press, substeps, 1e-7);
     EXPECT_GT(answer.depth, 0.7 * press.speed * substeps * h);
     for (const int sweeps : {0, 8, 24, 64, 1000}) {
       const double difference = answer.difference(press.solved(substeps, uint16_t(sweeps)));
-      EXPECT_LT(difference, sweeps == 1000 ? many : usual) << sweeps << " sweeps";
+      EXPECT_LT(difference, sweeps == 1000 ? many : few) << sweeps << " sweeps";
       RecordProperty("friction_" + std::to_string(friction) + "_sweeps_" + std::to_string(sweeps), std::to_string(difference));
     }
   }
