@@ -25,7 +25,7 @@ BUILD = pathlib.Path(sys.argv[1]).resolve()
 MANUAL = sys.argv[2]
 TEXT = (ROOT / MANUAL).read_text()
 PATIENCE = 300  # s
-crash = ["deepest dent [1-9][0-9][0-9] mm", "hash [0-9a-f]{16}", "[1-9][0-9]+ kJ absorbed"]
+crash = ["deepest dent [1-9][0-9]{2,3} mm", "hash [0-9a-f]{16}", "[1-9][0-9]+ kJ absorbed"]
 # For each manual: the least number of commands, patterns of the output, and the files that its commands make.
 has, says, makes = {
     "README.md": (4, ["0[.][1-9] m deep, -?[0-9] m/s now"], []),

@@ -103,7 +103,7 @@ void sleep_until(Clock::time_point when) {
     std::this_thread::sleep_for(std::min<Clock::duration>(when - Clock::now(), std::chrono::milliseconds(50)));
 }
 
-// The server's endpoints, comma separated: TCP, and UDP if requested.
+// The server's endpoints, comma separated: TCP, and QUIC over UDP if requested.
 std::string start_server(const Options& options, const std::string& recording, Process& server) {
   std::vector<std::string> words = {options.program,   "serve",    "--scene", scene,  "--listen",
                                     "tcp/127.0.0.1:0", "--record", recording, "--car"};
@@ -376,7 +376,7 @@ int run(int argc, char** argv) {
   app.add_option("--reorder", weather.reorder, "share of datagrams that overtake")->check(CLI::Range(0.0, 1.0));
   app.add_option("--kbit", weather.kbit, "a second and viewer; 0: no limit")->check(CLI::NonNegativeNumber);
   app.add_option("--cut", options.cut, "seconds that all viewers' links are cut for, half-way")->check(CLI::Range(0.0, 60.0));
-  app.add_flag("--udp", options.udp, "viewers come by UDP");
+  app.add_flag("--udp", options.udp, "viewers come by QUIC over UDP, without a certificate (?rel=1)");
   try {
     app.parse(argc, argv);
     if (options.cars.empty()) throw CLI::RequiredError("--car");

@@ -91,7 +91,7 @@ def link_rows(links):
     yield "| link, one way | delay of a surface p50, p99, ms | longest delay, ms | up to date after a cut of 2 s, ms | first surface; of a late viewer, ms | keyframes asked for | mean Mb/s | packets lost | differ at the end |"
     yield "|---" * 9 + "|"
     for run in links:
-        parts = ["UDP" if run["link"] == "udp" else "TCP"]
+        parts = ["QUIC" if run["link"] == "udp" else "TCP"]
         if run["loss"]:
             parts.append(f"{100 * run['loss']:.0f} %")
         parts.append(f"{run['delay_ms']:.0f}" + (f" +- {run['jitter_ms']:.0f}" if run["jitter_ms"] else "") + " ms")
@@ -139,7 +139,7 @@ def main(folder):
                     f"| {run['latency_ms_p50']:.2f}, {run['latency_ms_p99']:.2f} | {run['residual_worst_mm']:.2f} |"
                 )
     if links:
-        text += ["", "## Bad links", "", "Five cars hit walls every three seconds. Three viewers, and a fourth that comes late, each have a link that delays and loses packets in both", "directions alike (`bench/impaired_link.h`). TCP sends lost packets again, and the later data waits for them. UDP means `?rel=1`.", ""]
+        text += ["", "## Bad links", "", "Five cars hit walls every three seconds. Three viewers, and a fourth that comes late, each have a link that delays and loses packets in both", "directions alike (`bench/impaired_link.h`). TCP sends lost packets again, and the later data waits for them. QUIC means `udp/HOST:PORT?rel=1`.", ""]
         text += link_rows(links)
     (folder / "page.md").write_text("\n".join(text) + "\n")
     print(f"written {folder}/page.md")

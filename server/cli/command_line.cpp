@@ -115,7 +115,7 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
   verb.add_option(
           "--pictures", options.pictures,
-          "also draws the car into this folder, as CAR.png: its surface, its front, what is solid, hollow and held; the "
+          "also draws the car into this folder, as CAR.png: its surface, its front, what is solid, hollow and anchored; the "
           "same as `crumple render CAR -o FOLDER`")
       ->type_name("FOLDER");
   verb.add_option("--nodes", options.nodes,
