@@ -25,7 +25,7 @@ from outside import Outside
 from tables import Runs, best, commit, map_and_constrain, number, table
 
 DEFAULT = 0  # iterations in chart.csv if Parameters::tolerance ends the sweeps (server/sim/material.h)
-SUBSTEPS = 8  # Parameters::substeps
+SUBSTEPS = 4  # Parameters::substeps
 WANTED = 1  # % of the largest displacement
 SCENES = {"wall": "wall, 50 km/h", "pole": "pole, 50 km/h", "elastic push": "elastic push of 0.20 m"}
 # Okabe and Ito's colours with a different mark each, so that the colour-blind can tell them apart.

@@ -190,7 +190,7 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
       ->capture_default_str();
   verb.add_option(
           "--record", options.record,
-          "writes the session to this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
+          "records the run in this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
           "a service that starts again keeps what it recorded before")
       ->type_name("FILE.mcap");
   verb.add_option(
@@ -298,7 +298,7 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
 Verb add_info(CLI::App& app, std::vector<std::string>& files) {
   CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
   verb.add_option("FILE", files, "recordings, baked cars")->required()->check(is_file);
-  verb.footer("Example: crumple info recordings/pole.mcap");
+  verb.footer("Example: crumple info recordings/built_in_pole.mcap");
   return [&files] { return info(files); };
 }
 
@@ -371,7 +371,7 @@ int run(int argc, const char* const* argv) {
   app.require_subcommand(1);
   app.set_version_flag("--version", program_name);
   app.footer(
-      "A session, each line in its own terminal:\n"
+      "A run, each line in its own terminal:\n"
       "  crumple bake built-in -o car.car\n"
       "  crumple serve --car car.car --record today.mcap\n"
       "  crumple view\n"

@@ -1,4 +1,4 @@
-// The only code with both the clock and the world. The tick never waits: the network publishes and the recorder writes on
+// Starts the ticks by the clock. The tick never waits: the network publishes and the recorder writes on
 // threads of their own. Messages for which their queues have no room are dropped and counted.
 #include "service/serve.h"
 

@@ -534,7 +534,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="crumple render", formatter_class=argparse.ArgumentDefaultsHelpFormatter,
         description="Draws a recording as an animation in slow motion, a contact sheet and charts. Draws a baked car as one picture of "
-        "what is solid, hollow and held, and where its front is.",
+        "what is solid, hollow and anchored, and where its front is.",
         epilog="Examples: crumple render today.mcap -o pictures --speed 0.1; crumple render car.car -o pictures")
     none: dict[str, Any] = {"default": argparse.SUPPRESS}
     parser.set_defaults(output="", start=None, to=None, cars=None)
