@@ -331,6 +331,7 @@ Verb add_fit(CLI::App& app, FitCommandOptions& options) {
   verb.add_option("-o,--output", options.output, "the preset to write, for `crumple drive --preset`")
       ->required()
       ->type_name("PRESET.json");
+  verb.add_flag("--scale", options.scale, "fits only the scale of all stresses, whatever the tests are");
   verb.add_option("--about", options.about, "what the preset says of itself; default: the tests' names");
   verb.add_option("--picture", options.picture, "also draws published crush and force beside ours")->type_name("FILE.png");
   verb.footer(

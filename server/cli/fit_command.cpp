@@ -83,7 +83,7 @@ void print_open(const std::vector<PublishedCar>& tests, const Fit& fit) {
   }
   std::printf("What the tests do not say:\n");
   for (const FittedConstant& each : fit.constants) {
-    if (!each.determined) std::printf("  %s (%s): it stays near the default.\n", each.constant->decides, each.constant->name);
+    if (!each.determined) std::printf("  %s (%s): other values fit as well.\n", each.constant->decides, each.constant->name);
   }
   for (const Constant& each : fit_constants().subspan(fit.constants.size()))
     std::printf("  %s (%s): it is the default's.\n", each.decides, each.name);
@@ -165,7 +165,7 @@ int fit_command(const FitCommandOptions& options) {
   const std::vector<PublishedCar> tests = read_tests(options.tests);
   const Cars cars = load_levels(options.cars);
   const bool terminal = isatty(STDERR_FILENO);
-  const Fit found = fit(cars[0], tests, constants_for(tests), {}, [&](int hits) {
+  const Fit found = fit(cars[0], tests, options.scale ? 1 : constants_for(tests), {}, [&](int hits) {
     if (terminal) std::fprintf(stderr, "\r%d hits computed\x1b[K", hits);
   });
   if (terminal) std::fprintf(stderr, "\r\x1b[K");

@@ -11,6 +11,7 @@ struct FitCommandOptions {
   std::string tests;              // CSV (fit/test_file.h)
   std::string output;             // the preset, JSON in the form of schema/scene.fbs
   std::string picture;            // PNG; empty: none
+  bool scale = false;             // fit only the scale of all stresses
   std::string about;              // of the preset; empty: what it was fitted to
 };
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <stdexcept>
 
 namespace crumple {
@@ -14,16 +15,16 @@ constexpr double gap = 0.001;        // m between car and obstacle at the start
 constexpr double inward = 0.01;      // m, steps in which a station beside the front looks for it
 constexpr double outer_share = 0.9;  // of a car's width that is front rather than round corner
 constexpr int heights = 3;           // at which the gauge looks, from bumper_low to bumper_high
-constexpr double nowhere = -1e9;
 
-// The largest x at which a line along x through (y, z) meets a triangle; `nowhere` if it does not.
-double meet(const Vec3& a, const Vec3& b, const Vec3& c, double y, double z) {
+// Where a line along x through (y, z) meets a triangle: the weights of its corners; nothing if it does not.
+std::optional<Vector3d> meet(const Vec3& a, const Vec3& b, const Vec3& c, double y, double z) {
   const auto side = [&](const Vec3& p, const Vec3& q) {
     return (double(q.y()) - double(p.y())) * (z - double(p.z())) - (double(q.z()) - double(p.z())) * (y - double(p.y()));
   };
-  const double u = side(b, c), v = side(c, a), w = side(a, b), sum = u + v + w;
-  if (sum == 0 || std::min({u, v, w}) * sum < 0 || std::max({u, v, w}) * sum < 0) return nowhere;
-  return (u * double(a.x()) + v * double(b.x()) + w * double(c.x())) / sum;
+  const Vector3d weight(side(b, c), side(c, a), side(a, b));
+  const double sum = weight.sum();
+  if (sum == 0 || (weight / sum).minCoeff() < 0) return std::nullopt;
+  return weight / sum;
 }
 
 // How far the nearest node is from the obstacle at least, m; negative inside.
@@ -87,49 +88,55 @@ Obstacle offset_wall(double overlap, double width, double edge_radius) {
 
 double mean_crush(const Profile& c) { return (c[0] / 2 + c[1] + c[2] + c[3] + c[4] + c[5] / 2) / 5; }
 
-FrontGauge::FrontGauge(const Car& car, double damaged_width) : car_(car) {
-  float low = std::numeric_limits<float>::max(), left = -low, right = low;
-  for (const Vec3& vertex : car.model.vertex) {
-    low = std::min(low, vertex.z());
-    left = std::max(left, vertex.y()), right = std::min(right, vertex.y());
-  }
-  ground_ = double(low);
-  const double whole = outer_share * (double(left) - double(right));
-  width_ = damaged_width > 0 ? std::min(damaged_width, whole) : whole;
-  rest_ = front(car.model.node);
-  if (rest_[2] == nowhere || rest_[3] == nowhere)
-    throw std::runtime_error(car.name +
-                             ": it has no front 0.41 to 0.51 m above its lowest point, where bumpers are; bake it in metres, "
-                             "with x forward and z up.");
+double FrontGauge::Mark::at(std::span<const Vec3> nodes) const {
+  double x = 0;
+  for (size_t k = 0; k < 3; ++k) x += weight[k] * double(nodes[node[k]].x());
+  return x;
 }
 
-Profile FrontGauge::front(std::span<const Vec3> node) const {
-  std::array<double, heights> height;
-  for (int k = 0; k < heights; ++k) height[size_t(k)] = ground_ + bumper_low + (bumper_high - bumper_low) * k / (heights - 1);
-  // The foremost point on lines along x at this y.
-  const auto at = [&](double y) {
-    double most = nowhere;
-    for (const auto& t : car_.boundary.triangle) {
-      const Vec3 &a = node[t[0]], &b = node[t[1]], &c = node[t[2]];
-      if (double(std::min({a.y(), b.y(), c.y()})) > y || double(std::max({a.y(), b.y(), c.y()})) < y) continue;
-      for (const double z : height) most = std::max(most, meet(a, b, c, y, z));
-    }
-    return most;
-  };
-  Profile out;
-  for (size_t k = 0; k < out.size(); ++k) {
-    double y = width_ * (0.5 - double(k) / 5);
-    out[k] = at(y);
-    // A corner that was pressed inward has left the outermost line.
-    while (out[k] == nowhere && std::fabs(y) > inward) out[k] = at(y -= std::copysign(inward, y));
+FrontGauge::FrontGauge(const Car& car, double damaged_width) {
+  const auto nodes = car.model.node;
+  double ground = 1e9, left = -1e9, right = 1e9;
+  for (const Vec3& vertex : car.model.vertex) {
+    ground = std::min(ground, double(vertex.z()));
+    left = std::max(left, double(vertex.y())), right = std::min(right, double(vertex.y()));
   }
-  return out;
+  const double whole = outer_share * (left - right), width = damaged_width > 0 ? std::min(damaged_width, whole) : whole;
+  // The foremost point of the front on the line along x through (y, z).
+  const auto foremost = [&](double y, double z) {
+    std::optional<Mark> found;
+    for (const auto& [a, b, c] : car.boundary.triangle) {
+      const auto weight = meet(nodes[a], nodes[b], nodes[c], y, z);
+      if (!weight) continue;
+      const Mark mark{{a, b, c}, {(*weight)[0], (*weight)[1], (*weight)[2]}};
+      if (!found || mark.at(nodes) > found->at(nodes)) found = mark;
+    }
+    return found;
+  };
+  for (size_t k = 0; k < marks_.size(); ++k) {
+    // A station beside the car's round corner moves inward.
+    for (double y = width * (0.5 - double(k) / 5); marks_[k].empty() && std::fabs(y) > inward; y -= std::copysign(inward, y)) {
+      for (int i = 0; i < heights; ++i) {
+        const auto mark = foremost(y, ground + bumper_low + (bumper_high - bumper_low) * i / (heights - 1));
+        if (mark) marks_[k].push_back(*mark);
+      }
+    }
+    if (marks_[k].empty())
+      throw std::runtime_error(
+          car.name +
+          ": it has no front 0.41 to 0.51 m above its lowest point, where bumpers are; bake it in metres, with x forward and z "
+          "up.");
+  }
+  rest_ = depth(nodes);  // of rest_ that is 0
+  for (double& each : rest_) each = -each;
 }
 
 Profile FrontGauge::depth(std::span<const Vec3> nodes) const {
-  Profile now = front(nodes);
-  for (size_t k = 0; k < now.size(); ++k) now[k] = rest_[k] - now[k];
-  return now;
+  Profile out = rest_;
+  for (size_t k = 0; k < out.size(); ++k) {
+    for (const Mark& mark : marks_[k]) out[k] -= mark.at(nodes) / double(marks_[k].size());
+  }
+  return out;
 }
 
 std::vector<double> HitResult::force_by_sixtieth() const {

@@ -22,7 +22,7 @@ Obstacle offset_wall(double overlap, double width, double edge_radius);
 // ---- what is measured ----
 
 // Residual depth at six places, equally spaced over the damaged width from the car's left to its right, both ends included: C1
-// to C6 of the field, m. A depth is how much farther back the front is, at the height of bumpers, than in the undamaged car.
+// to C6 of the field, m. A depth is how far the front that was at such a place, at the height of bumpers, has moved back.
 using Profile = std::array<double, 6>;
 // (C1/2 + C2 + C3 + C4 + C5 + C6/2) / 5, m
 double mean_crush(const Profile&);
@@ -31,20 +31,23 @@ double mean_crush(const Profile&);
 // ground.
 inline constexpr double bumper_low = 0.4064, bumper_high = 0.508;
 
-// Where the front of a body is, in the car's frame. nodes: the body's, or those of the model for an undamaged car.
+// Points of a car's front, marked before the crash.
 class FrontGauge {
  public:
   // damaged_width: m; 0, or more than the car's: nine tenths of its width, because its corners are round. Throws
   // std::runtime_error with one sentence if there is nothing at the height of bumpers.
   FrontGauge(const Car&, double damaged_width);
+  // nodes: of the body, in the car's frame.
   Profile depth(std::span<const Vec3> nodes) const;
 
  private:
-  Profile front(std::span<const Vec3> nodes) const;
-
-  const Car& car_;
-  double ground_ = 0, width_ = 0;
-  Profile rest_ = {};
+  struct Mark {
+    uint32_t node[3];
+    double weight[3];
+    double at(std::span<const Vec3> nodes) const;  // its x, m
+  };
+  std::array<std::vector<Mark>, 6> marks_;
+  Profile rest_ = {};  // mean x of a station's marks, m
 };
 
 // At the end of a tick.

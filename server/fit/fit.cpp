@@ -150,7 +150,7 @@ std::vector<Comparison> compare(const std::vector<PublishedCar>& tests, const st
       double mean = 0;
       for (const double each : hit.force) mean += each / double(hit.force.size());
       for (size_t n = 0; n < hit.force.size(); ++n)
-        out.push_back({k, i, "force over mass in 1/60 s number " + std::to_string(n + 1) + ", g", hit.force[n] / gravity,
+        out.push_back({k, i, "force / mass in sixtieth " + std::to_string(n + 1) + ", g", hit.force[n] / gravity,
                        (n < force.size() ? force[n] : 0) / gravity, force_share * mean / gravity});
     }
   }
