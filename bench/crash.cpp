@@ -52,7 +52,7 @@ class Report {
   }
   void curve(const std::string& figure, const std::string& panel, const std::string& label, const std::vector<Point>& points) {
     for (const Point& each : points)
-      std::fprintf(curves_.get(), "%s,%s,\"%s\",%.6g,%.6g\n", figure.c_str(), panel.c_str(), label.c_str(), each.x, each.y);
+      std::fprintf(curves_.get(), "%s,\"%s\",\"%s\",%.6g,%.6g\n", figure.c_str(), panel.c_str(), label.c_str(), each.x, each.y);
   }
 
  private:
@@ -357,8 +357,9 @@ PublishedCar one_test(const std::vector<PublishedCar>& tests, const std::string&
 }
 
 // NHTSA 7292: a Taurus of 2007 at 113.4 km/h into a Taurus of 2006 that stands, turned by 7 degrees, both hit on their right,
-// no rail of one before a rail of the other. The offset is ours: 1.1 m between the middles, the least with which rails 1 m
-// apart and 0.1 m wide pass each other. Fitted: Taurus of 1998 (tests 2832, 2748), the nearest generation that the tests have.
+// the rails of one beside those of the other. How far the middles were apart is not in our data. With rails some 1 m apart, 0.5
+// m puts each car's rail between the other's two; and the published crush reaches over three quarters of the width, as it does
+// with this offset. Fitted: Taurus of 1998 (tests 2832, 2748), the nearest generation that the tests have.
 void car_to_car(Bench& bench) {
   const std::vector<PublishedCar> tests = bench.tests("two_speeds");
   const std::vector<PublishedCar> nearest = {one_test(tests, "2832"), one_test(tests, "2748")};
@@ -372,7 +373,7 @@ void car_to_car(Bench& bench) {
     const CarPointer& car = body.levels.back();
     const Parameters fitted = fit(body.levels[0], nearest, 1).parameters;
     const std::array<Side, 2> side{
-        {{{5.022, 1.845, 1735}, 113.4, 0, 0, {-2.51, 0.55, 0}}, {{5.02, 1.845, 1730}, 0, 187, 0, {2.51, -0.55, 0}}}};
+        {{{5.022, 1.845, 1735}, 113.4, 0, 0, {-2.51, 0.25, 0}}, {{5.02, 1.845, 1730}, 0, 187, 0, {2.51, -0.25, 0}}}};
     const std::array<CarPointer, 2> cars{scale_car(car, side[0].measures), scale_car(car, side[1].measures)};
     const Meeting meeting(cars, {fitted, fitted}, side, 0.05);
     bench.energy(meeting.energy(), "7292, " + body.name);
@@ -535,7 +536,7 @@ void other_crashes(Bench& bench) {
     for (const double energy : {a.energy, b.energy, c.energy}) bench.energy(energy, "offset, side or roof, " + body.name);
   }
   bench.report.row("rigid wall, 40 % offset, 64 km/h: crush of C1 and C6, yaw rate", "plausible", offset);
-  bench.report.row("pole of 254 mm at the side, 32 km/h: deepest", "plausible (tests of saloons leave 250 to 450 mm)", side);
+  bench.report.row("pole of 254 mm at the side, 32 km/h: deepest", "plausible", side);
   bench.report.row("dropped onto its roof from 0.5 m: deepest", "plausible", roof);
 }
 

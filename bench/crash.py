@@ -52,11 +52,12 @@ FIGURES = {
 REASONS = {
     "Camry 2018": "One scale cannot meet travel, crush and time together: the real cabin goes on while the engine has stopped, and 274 mm of its way are "
                   "not crush. Our car is one mass.",
-    "NHTSA 7292": "The real cars met beside their rails, which passed each other; our cars have no rails, so the whole overlap is equally strong. The offset "
-                  "of the middles (1.1 m) is ours, the report of the test does not give it.",
+    "NHTSA 7292": "The rails of the real cars passed beside each other; our cars have no rails. The offset of the middles, 0.5 m, is ours: our data do not "
+                  "give it.",
     "NHTSA 4363": "The published figures are an expert's planar fit, with a point of impact that our contact finds by itself. Our bodies have one shape for both cars.",
     "NHTSA 4438": "As for 4363.",
-    "IIHS small overlap": "Wheel and suspension carry most of this load in a real car; ours has none.",
+    "IIHS small overlap": "A real car has no rail in its outer quarter, so it gives way there and slides past, on wheel and suspension. Ours is as strong there "
+                          "as in its middle, and stops.",
 }
 
 
@@ -77,7 +78,7 @@ def published(figure, panel):
     if figure == "pulse":
         rows = [row for row in pulse() if 0 <= row["t_s"] <= 0.12]
         force = panel.startswith("force")
-        return [1000 * row["t_s"] for row in rows], [1000 * row["F_barrier_kN"] / CAMRY / GRAVITY if force else row["a_g"] for row in rows]
+        return [1000 * row["t_s"] for row in rows], [1000 * row["F_barrier_kN"] / CAMRY / GRAVITY if force else -row["a_g"] for row in rows]
     return None
 
 

@@ -115,12 +115,13 @@ std::string list_of(const auto& items, const auto& text) {
 }
 
 // What the picture shows (clients/python: crumple.fit_chart).
-std::string chart_of(const std::vector<PublishedCar>& tests, const Fit& fit, const std::string& title) {
+std::string chart_of(const std::vector<PublishedCar>& tests, const std::vector<std::vector<HitResult>>& results,
+                     const std::string& title) {
   std::string hits;
   for (size_t k = 0; k < tests.size(); ++k) {
     for (size_t i = 0; i < tests[k].hits.size(); ++i) {
       const PublishedHit& hit = tests[k].hits[i];
-      const HitResult& ours = fit.results[k][i];
+      const HitResult& ours = results[k][i];
       const auto pulse = [&](double Instant::*value) {
         return list_of(ours.pulse, [&](const Instant& each) { return number(each.*value, "%.6g"); });
       };
@@ -186,7 +187,9 @@ int fit_command(const FitCommandOptions& options) {
   const std::string about = options.about.empty() ? "Fitted to " + names_of(tests) + "." : options.about;
   write_text(options.output, preset_of(found, about));
   std::printf("%s: for `crumple drive --preset`, or a host's parameters\n", options.output.c_str());
-  if (!options.picture.empty()) draw(chart_of(tests, found, cars[0]->name + ": " + about), options.picture);
+  if (options.picture.empty()) return 0;
+  constexpr double rate = 240;  // of the curves; the crush is that of 60
+  draw(chart_of(tests, play_tests(cars[0], tests, found.parameters, rate), cars[0]->name + ": " + about), options.picture);
   return 0;
 }
 

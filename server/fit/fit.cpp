@@ -118,7 +118,7 @@ size_t constants_for(const std::vector<PublishedCar>& tests) {
 }
 
 std::vector<std::vector<HitResult>> play_tests(const std::shared_ptr<const Car>& car, const std::vector<PublishedCar>& tests,
-                                               const Parameters& parameters) {
+                                               const Parameters& parameters, double rate) {
   std::vector<std::vector<HitResult>> out(tests.size());
   tbb::parallel_for(size_t{0}, tests.size(), [&](size_t k) {
     const PublishedCar& each = tests[k];
@@ -127,7 +127,7 @@ std::vector<std::vector<HitResult>> play_tests(const std::shared_ptr<const Car>&
     for (const PublishedHit& hit : each.hits) {
       test.mass.inertia *= hit.mass / test.mass.mass;
       test.mass.mass = hit.mass;
-      out[k].push_back(test.hit(rigid_wall(), hit.speed));
+      out[k].push_back(test.hit(rigid_wall(), hit.speed, rate));
     }
   });
   return out;

@@ -55,9 +55,9 @@ struct Fit {
 // How many constants the tests can bear: all if they have a pulse, or three hits of one car; else one.
 size_t constants_for(const std::vector<PublishedCar>&);
 
-// Computes all hits on the car, scaled to each test's measures.
+// Computes all hits on the car, scaled to each test's measures. rate: ticks a second.
 std::vector<std::vector<HitResult>> play_tests(const std::shared_ptr<const Car>&, const std::vector<PublishedCar>&,
-                                               const Parameters&);
+                                               const Parameters&, double rate = 60);
 std::vector<Comparison> compare(const std::vector<PublishedCar>&, const std::vector<std::vector<HitResult>>&);
 double rms_of(const std::vector<Comparison>&);
 

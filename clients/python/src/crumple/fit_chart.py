@@ -52,10 +52,13 @@ def draw_force(axes: Axes, hits: list[dict[str, Any]]) -> None:
     if pulses:
         axes.set(xlabel="time since contact, ms (means of 1/60 s)")
     else:
+        depth: dict[int, float] = {}  # m, by car: where the next hit of it begins
         for index, hit in enumerate(hits[:MOST_CURVES]):
-            axes.plot([1000 * x for x in hit["travel"]], [force / GRAVITY for force in hit["force"]], color=INK[index % len(INK)],
+            start = depth.get(hit["car"], 0.0)
+            depth[hit["car"]] = hit["ours"]
+            axes.plot([1000 * (start + x) for x in hit["travel"]], [force / GRAVITY for force in hit["force"]], color=INK[index % len(INK)],
                       label=f"{hit['test']}, {hit['kmh']:.0f} km/h, ours")
-        axes.set(xlabel="way of the car since contact, mm")
+        axes.set(xlabel="way of the car since contact, from the crush before, mm")
     axes.set(ylabel="force of the barrier over the car's mass, g")
     axes.legend(fontsize=8)
 
