@@ -31,7 +31,13 @@ constexpr float near = 1e-5f;  // m
 Parameters parameters_of(float yield, int sweeps) {
   Parameters out;
   if (sweeps > 0) out.iterations = uint16_t(sweeps), out.tolerance = 0;
-  for (Material& material : out.region) material.yield_strain = yield;
+  for (Material& material : out.region) {  // the law of bench/peers/calculix.py: hardening is linear, without end
+    material.young_modulus = 15e6f;
+    material.yield_strain = yield;
+    material.hardening = 0.045f;
+    material.hardening_strain = 1000;
+    material.densification = 0;
+  }
   return out;
 }
 

@@ -81,6 +81,7 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
   parameters.tolerance = 0;
   parameters.substeps = uint16_t(substeps);
   for (Material& material : parameters.region) {
+    material.young_modulus = 15e6f;  // as bench/peers/scene.py
     material.plastic_limit = 0;
     material.yield_strain = 1;  // so no tet flows
   }

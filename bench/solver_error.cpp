@@ -46,9 +46,15 @@ struct Setting {
   const char* name;
   float Material::*field;
 };
-constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus}, {"poisson_ratio", &Material::poisson_ratio},
-                                {"yield", &Material::yield_strain},          {"hardening", &Material::hardening},
-                                {"plastic_limit", &Material::plastic_limit}, {"drag", &Material::drag}};
+constexpr Setting settings[] = {{"young_modulus", &Material::young_modulus},
+                                {"poisson_ratio", &Material::poisson_ratio},
+                                {"yield", &Material::yield_strain},
+                                {"hardening", &Material::hardening},
+                                {"hardening_strain", &Material::hardening_strain},
+                                {"densification", &Material::densification},
+                                {"densification_strain", &Material::densification_strain},
+                                {"plastic_limit", &Material::plastic_limit},
+                                {"drag", &Material::drag}};
 
 void set_material(const std::string& name, float value, Parameters& parameters) {
   for (const Setting& setting : settings) {
@@ -58,8 +64,8 @@ void set_material(const std::string& name, float value, Parameters& parameters) 
     return;
   }
   throw std::runtime_error("--material " + name +
-                           " is not known; try young_modulus, poisson_ratio, yield, hardening, "
-                           "plastic_limit or drag");
+                           " is not known; try young_modulus, poisson_ratio, yield, hardening, hardening_strain, "
+                           "densification, densification_strain, plastic_limit or drag");
 }
 
 Scene scene_of(int argc, char** argv) {

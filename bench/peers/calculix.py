@@ -48,7 +48,7 @@ import numpy as np
 import scene
 
 here = pathlib.Path(__file__).resolve().parent
-young, hardening = 15e6, 0.045  # Pa; crumple's defaults, like the yield of 0.009
+young, hardening = 15e6, 0.045  # Pa; those of bench/outside.cpp
 
 
 class Case:

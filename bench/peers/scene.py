@@ -2,7 +2,7 @@
 
 The mesh is the mesh that crumple solves (a baked car), or a grid with five tets per cell. All nodes within 0.15 m of the nose move
 0.20 m backwards at constant speed in 12 steps of 1/60 s. Nothing else acts. The material is elastic, because most peers have no
-plasticity. Peers with physical constants use crumple's defaults: E 15 MPa, nu 0.
+plasticity. Peers with physical constants use those of crumple there (bench/peer.cpp): E 15 MPa, nu 0.
 """
 
 import dataclasses

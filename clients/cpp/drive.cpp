@@ -148,6 +148,9 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
   take(from.poisson_ratio, to.poisson_ratio);
   take(from.yield_strain, to.yield_strain);
   take(from.hardening, to.hardening);
+  take(from.hardening_strain, to.hardening_strain);
+  take(from.densification, to.densification);
+  take(from.densification_strain, to.densification_strain);
   take(from.plastic_limit, to.plastic_limit);
   take(from.drag, to.drag);
   take(from.friction, to.friction);

@@ -77,7 +77,7 @@ int find_answer(Crumple& session, uint64_t ticket, CrumpleAnswer* out) {
 
 CrumpleParameters crumple_keep(void) {
   const float keep = std::numeric_limits<float>::quiet_NaN();
-  return {-1, 0, 0, keep, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep, keep};
+  return {-1, 0, 0, keep, -1, keep, keep, keep, keep, keep, keep, keep, keep, keep, keep, keep, keep, keep};
 }
 
 int crumple_spawn(Crumple* handle, const char* car, const char* asset, const CrumpleSpawn* spawn, uint64_t* ticket) {
@@ -131,6 +131,9 @@ int crumple_set_parameters(Crumple* handle, const char* car, const CrumpleParame
     add(parameters->poisson_ratio, &To::add_poisson_ratio);
     add(parameters->yield_strain, &To::add_yield_strain);
     add(parameters->hardening, &To::add_hardening);
+    add(parameters->hardening_strain, &To::add_hardening_strain);
+    add(parameters->densification, &To::add_densification);
+    add(parameters->densification_strain, &To::add_densification_strain);
     add(parameters->plastic_limit, &To::add_plastic_limit);
     add(parameters->drag, &To::add_drag);
     add(parameters->friction, &To::add_friction);

@@ -61,11 +61,17 @@ PulledBar pull_bar(const TetMesh& tets, double length, const Parameters& paramet
 
 double closed_form_set(const Material& material) {
   const auto plastic = [&](double r) { return std::log((1 + bar_pull) / r); };
+  const auto yield = [&](double kappa) {
+    const double beyond = std::max(0.0, kappa - double(material.densification_strain));
+    return double(material.yield_strain) +
+           double(material.hardening) * kappa / (1 + kappa / double(material.hardening_strain)) +
+           double(material.densification) * beyond * beyond;
+  };
   double low = 1, high = 1 + bar_pull;  // of the elastic stretch
   for (int k = 0; k < 60; ++k) {
     const double r = 0.5 * (low + high);
     const double stress = 0.5 * (r * r - (2 * r - 1) / (r * r));
-    (stress < double(material.yield_strain) + double(material.hardening) * plastic(r) ? low : high) = r;
+    (stress < std::exp(plastic(r)) * yield(plastic(r)) ? low : high) = r;
   }
   return std::expm1(plastic(low));
 }

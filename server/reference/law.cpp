@@ -24,10 +24,6 @@ Mapped elastic_point(const ReferenceMaterial& m, const Vector3d& strain) {
   return out;
 }
 
-double plastic_work(const ReferenceMaterial& m, double kappa, double growth) {
-  return (m.start + m.slope * (kappa + 0.5 * growth)) * growth;
-}
-
 // Flow with the multiplier D (1/Pa): strain + D stress(strain) = trial.
 // For a given D it minimises psi + |trial - strain|^2 / (2 D).
 Vector3d flowed_by(const ReferenceMaterial& m, const Vector3d& trial, double d) {
@@ -48,9 +44,9 @@ Vector3d flowed_by(const ReferenceMaterial& m, const Vector3d& trial, double d) 
 // The elastic strain at the end of the step. As D grows, the stress falls and kappa = D |stress| grows, until the stress meets
 // the yield surface or kappa its limit. Newton's method on strain and D together; if that fails, bisection on D.
 Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double kappa) {
-  const double yield = m.start + m.slope * kappa, room = m.limit - kappa;
+  const double room = m.limit - kappa;
   const auto excess = [&](double norm, double d) {
-    return std::min(norm * (1 - m.slope * d) - yield, (room - d * norm) * m.shear);
+    return std::min(norm - m.yield(kappa + d * norm), (room - d * norm) * m.shear);
   };
   Vector3d strain;
   double d = 0;
@@ -58,8 +54,9 @@ Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double
     for (int pass = 0; pass < 20; ++pass) {
       const Mapped here = elastic_point(m, strain);
       const double norm = here.stress.norm();
+      const double grown = std::max(0.0, d * norm), rise = m.rise(kappa + grown);
       Eigen::Vector4d right;
-      right << trial - strain - d * here.stress, full ? (room - d * norm) : (yield - norm * (1 - m.slope * d)) / m.shear;
+      right << trial - strain - d * here.stress, full ? (room - d * norm) : (m.yield(kappa + grown) - norm) / m.shear;
       const double left = right.norm();
       if (left <= 1e-15 || (pass > 8 && left <= 1e-14)) return d >= 0;
       const Vector3d steeper = here.tangent * here.stress / norm;
@@ -67,8 +64,8 @@ Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double
       matrix.topLeftCorner<3, 3>() = Matrix3d::Identity() + d * here.tangent;
       matrix.topRightCorner<3, 1>() = here.stress / m.shear;
       matrix.bottomLeftCorner<1, 3>() =
-          full ? Eigen::RowVector3d(d * steeper) : Eigen::RowVector3d((1 - m.slope * d) / m.shear * steeper);
-      matrix(3, 3) = full ? norm / m.shear : -m.slope * norm / m.shear / m.shear;
+          full ? Eigen::RowVector3d(d * steeper) : Eigen::RowVector3d((1 - rise * d) / m.shear * steeper);
+      matrix(3, 3) = full ? norm / m.shear : -rise * norm / m.shear / m.shear;
       const Eigen::Vector4d move = matrix.partialPivLu().solve(right);
       if (!move.allFinite() || move.norm() > 10) return false;
       strain += move.head<3>();
@@ -78,14 +75,19 @@ Vector3d flowed_strain(const ReferenceMaterial& m, const Vector3d& trial, double
   };
   // Starts from the solution of the logarithmic law.
   const auto begin = [&](bool full) {
-    const double size = trial.norm(), grown = full ? room : (m.shear * size - yield) / (m.shear + m.slope);
+    const double size = trial.norm();
+    double grown = full ? room : 0;
+    for (int k = 0; k < 5 && !full; ++k) {
+      const double over = m.shear * (size - grown) - m.yield(kappa + grown);
+      grown = std::max(0.0, grown + over / (m.shear + m.rise(kappa + grown)));
+    }
     const double share = std::clamp(1 - grown / size, 1e-3, 1.0);
     strain = share * trial;
     d = (1 / share - 1) / m.shear;
   };
   const auto lies = [&](bool full) {
     const double norm = elastic_point(m, strain).stress.norm();
-    return full ? norm >= m.start + m.slope * m.limit : d * norm <= room;
+    return full ? norm >= m.yield(m.limit) : d * norm <= room;
   };
   begin(false);
   if (newton(false) && lies(false)) return strain;
@@ -144,12 +146,12 @@ Principal mapped_principal(const ReferenceMaterial& m, const Vector3d& s, double
 Vector3d secant_stress(const ReferenceMaterial& m, const Vector3d& s, double kappa, bool& elastic) {
   const double j = s.prod();
   const Vector3d tau = (m.mu * s.cwiseAbs2()).array() + m.l * (j - m.gamma) * j;
-  const double yield = m.start + m.slope * kappa, room = m.limit - kappa;
+  const double room = m.limit - kappa;
   const double mean = std::sqrt(3.0) * tau.mean(), deviator = (tau.array() - tau.mean()).matrix().norm();
-  elastic = tau.norm() <= yield || room <= 0;
+  elastic = tau.norm() <= m.yield(kappa) || room <= 0;
   if (elastic) return elastic_principal(m, s).p;
   const auto norm = [&](double d) { return std::hypot(deviator / (1 + m.shear * d), mean / (1 + m.bulk * d)); };
-  const auto excess = [&](double d) { return std::min(norm(d) - yield - m.slope * d * norm(d), room - d * norm(d)); };
+  const auto excess = [&](double d) { return std::min(norm(d) - m.yield(kappa + d * norm(d)), room - d * norm(d)); };
   double low = 0, high = 1 / m.shear;
   while (excess(high) > 0 && high * m.shear < 1e9) high *= 2;
   for (int pass = 0; pass < 200 && high - low > 1e-16 * high; ++pass) {
@@ -157,7 +159,7 @@ Vector3d secant_stress(const ReferenceMaterial& m, const Vector3d& s, double kap
     (excess(middle) > 0 ? low : high) = middle;
   }
   const double mu = m.mu / (1 + m.shear * low), l = (m.bulk / (1 + m.bulk * low) + mu) / 3;
-  return elastic_principal({mu, l, 1 + mu / l, 0, 0, 0, 0, 0}, s).p;
+  return elastic_principal({mu, l, 1 + mu / l, 0, 0, 0, 0, 0, 0, 0, 0}, s).p;
 }
 
 Principal secant_principal(const ReferenceMaterial& m, const Vector3d& s, double kappa) {
@@ -197,7 +199,22 @@ Polar polar(const Matrix3d& f) {
 
 }  // namespace
 
-ReferenceMaterial reference_material(const Material& material) {
+double ReferenceMaterial::yield(double kappa) const {
+  const double beyond = std::max(0.0, kappa - dense_from);
+  return start + slope * kappa / (1 + fold * kappa) + dense * beyond * beyond;
+}
+
+double ReferenceMaterial::rise(double kappa) const {
+  return slope / ((1 + fold * kappa) * (1 + fold * kappa)) + 2 * dense * std::max(0.0, kappa - dense_from);
+}
+
+double ReferenceMaterial::plastic(double kappa, double growth) const {
+  const auto cube = [&](double k) { return std::pow(std::max(0.0, k - dense_from), 3); };
+  const double folds = growth - std::log1p(fold * growth / (1 + fold * kappa)) / fold;
+  return start * growth + slope / fold * folds + dense / 3 * (cube(kappa + growth) - cube(kappa));
+}
+
+ReferenceMaterial reference_material(const Material& material, double volume_ratio) {
   const double e = material.young_modulus, nu = material.poisson_ratio;
   const double mu = e / (2 * (1 + nu)), lambda = e * nu / ((1 + nu) * (1 - 2 * nu));
   return {mu,
@@ -205,28 +222,31 @@ ReferenceMaterial reference_material(const Material& material) {
           1 + mu / (lambda + mu),
           2 * mu,
           3 * lambda + 2 * mu,
-          e * double(material.yield_strain),
-          e * double(material.hardening),
+          e * double(material.yield_strain) * volume_ratio,
+          e * double(material.hardening) * volume_ratio,
+          1 / double(material.hardening_strain),
+          e * double(material.densification) * volume_ratio,
+          double(material.densification_strain),
           double(material.plastic_limit)};
 }
 
 Mapped map_strain(const ReferenceMaterial& m, const Vector3d& trial, double kappa) {
   Mapped out = elastic_point(m, trial);
   const double room = m.limit - kappa;
-  if (out.stress.norm() <= m.start + m.slope * kappa || room <= 0) return out;
+  if (out.stress.norm() <= m.yield(kappa) || room <= 0) return out;
   const Vector3d strain = flowed_strain(m, trial, kappa), q = trial - strain;
   const double size = q.norm();
   const bool full = size > room * (1 - 1e-9);
   const Vector3d n = q / size;
   out = elastic_point(m, strain);
   out.growth = size;
-  out.work = plastic_work(m, kappa, size);
+  out.work = m.plastic(kappa, size);
   out.energy += out.work;
   // tangent = (H^-1 + S^-1)^-1 with H the Hessian of psi and S the Hessian of the plastic work. Across n the stiffness of the
   // plastic work is |stress| / |q|.
   const Matrix3d along = n * n.transpose();
   const double softest = 1e-9 * m.shear;
-  const Matrix3d give = (full ? 0 : 1 / std::max(m.slope, softest)) * along +
+  const Matrix3d give = (full ? 0 : 1 / std::max(m.rise(kappa + size), softest)) * along +
                         size / std::max(out.stress.norm(), softest) * (Matrix3d::Identity() - along);
   out.tangent = (out.tangent.inverse() + give).inverse();
   return out;
@@ -235,7 +255,7 @@ Mapped map_strain(const ReferenceMaterial& m, const Vector3d& trial, double kapp
 Mapped flow_strain(const ReferenceMaterial& m, const Vector3d& trial, double kappa) {
   Mapped out = elastic_point(m, trial);
   const double room = m.limit - kappa;
-  if (out.stress.norm() <= m.start + m.slope * kappa || room <= 0) return out;
+  if (out.stress.norm() <= m.yield(kappa) || room <= 0) return out;
   const double mean = trial.mean();
   const Vector3d deviator = trial.array() - mean;
   const auto left = [&](double s) -> Vector3d { return (s * deviator).array() + mean * s / (s + m.bulk / m.shear * (1 - s)); };
@@ -243,11 +263,11 @@ Mapped flow_strain(const ReferenceMaterial& m, const Vector3d& trial, double kap
   for (int pass = 0; pass < 200 && high - low > 1e-17; ++pass) {
     const double s = 0.5 * (low + high), growth = (trial - left(s)).norm();
     const double norm = elastic_point(m, left(s)).stress.norm();
-    (norm > m.start + m.slope * (kappa + growth) && growth < room ? high : low) = s;
+    (norm > m.yield(kappa + growth) && growth < room ? high : low) = s;
   }
   out = elastic_point(m, left(high));
   out.growth = (trial - out.strain).norm();
-  out.work = 0.5 * (out.stress.norm() + m.start + m.slope * kappa) * out.growth;
+  out.work = m.plastic(kappa, out.growth);
   return out;
 }
 

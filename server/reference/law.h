@@ -16,12 +16,16 @@ namespace crumple {
 enum class FlowLaw : uint8_t { mapped, secant };
 
 struct ReferenceMaterial {
-  double mu, l, gamma;  // neo-Hookean: mu/2 |F|^2 + l/2 (J - gamma)^2, Pa
-  double shear, bulk;   // 2 mu and 3 K, Pa
-  double start, slope;  // Y = start + slope kappa, Pa
-  double limit;         // largest kappa
+  double mu, l, gamma;                           // neo-Hookean: mu/2 |F|^2 + l/2 (J - gamma)^2, Pa
+  double shear, bulk;                            // 2 mu and 3 K, Pa
+  double start, slope, fold, dense, dense_from;  // Y = start + slope k / (1 + fold k) + dense max(0, k - dense_from)^2, Pa
+  double limit;                                  // largest kappa
+  double yield(double kappa) const;
+  double rise(double kappa) const;                    // dY / d(kappa)
+  double plastic(double kappa, double growth) const;  // integral of Y d(kappa) while kappa grows, J/m^3
 };
-ReferenceMaterial reference_material(const Material&);
+// volume_ratio: J_p of the tet at the start of the sub-step.
+ReferenceMaterial reference_material(const Material&, double volume_ratio = 1);
 
 // Trial strains with a smaller volume ratio do not flow, as in flow().
 inline constexpr double smallest_flowing_ratio = 0.02;

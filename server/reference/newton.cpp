@@ -115,7 +115,8 @@ struct Problem {
     contact.resize(rest.size());
     for (size_t t = 0; t < m.tet.size(); ++t) {
       std::array<size_t, 4>& corners = tet.emplace_back();
-      material.push_back(reference_material(parameters.region[m.tet_region[t]]));
+      const double unloaded = 1 / (6 * double(m.tet_rest[t]) * start.gradients[t].determinant());
+      material.push_back(reference_material(parameters.region[m.tet_region[t]], unloaded));
       rows.push_back(start.gradients[t]);
       hardening.push_back(start.hardening[t]);
       volume.push_back(double(m.tet_rest[t]));

@@ -33,9 +33,10 @@ double exp_of(double x) {
   return std::ldexp(sum, int(k));
 }
 
-// The yield stress is at least that of a strain of 1e-5: without any yield stress a tet would be a fluid.
-float yield_of(const YieldLaw& law, float kappa) {
-  return std::max(law.start + law.slope * kappa, 1e-5f * std::max(law.shear, law.bulk));
+// Slope of the yield stress over kappa, Pa.
+float slope_of(const YieldLaw& law, float kappa) {
+  const float left = 1 / (1 + kappa * law.fold);
+  return law.slope * left * left + 2 * law.dense * std::max(kappa - law.dense_from, 0.0f);
 }
 
 }  // namespace
@@ -50,34 +51,60 @@ Elastic elastic(const Material& material) {
 YieldLaw yield_law(const Material& material) {
   const Elastic e = elastic(material);
   const float lambda = e.l - e.mu;
-  return {2 * e.mu, 3 * lambda + 2 * e.mu, material.young_modulus * material.yield_strain,
-          material.young_modulus * material.hardening, material.plastic_limit};
+  const float young = material.young_modulus;
+  return {2 * e.mu,
+          3 * lambda + 2 * e.mu,
+          young * material.yield_strain,
+          young * material.hardening,
+          1 / material.hardening_strain,
+          young * material.densification,
+          material.densification_strain,
+          material.plastic_limit};
+}
+
+YieldLaw crushed(const YieldLaw& law, float volume_ratio) {
+  YieldLaw out = law;
+  out.start *= volume_ratio;
+  out.slope *= volume_ratio;
+  out.dense *= volume_ratio;
+  return out;
+}
+
+float volume_ratio(float rest, const Gradients& gradients) {
+  const auto& g = gradients.corner;
+  const float ratio = 1 / (6 * rest * g[0].dot(g[1].cross(g[2])));
+  return ratio > 0 ? std::clamp(ratio, least_volume_ratio, most_volume_ratio) : 1;
+}
+
+float yield_stress(const YieldLaw& law, float kappa) {
+  const float left = 1 / (1 + kappa * law.fold), beyond = std::max(kappa - law.dense_from, 0.0f);
+  return std::max(law.start + law.slope * kappa * left + law.dense * beyond * beyond, 1e-5f * std::max(law.shear, law.bulk));
 }
 
 float plastic_multiplier(const YieldLaw& law, float deviator, float mean, float kappa) {
   const float norm = std::sqrt(deviator * deviator + mean * mean);
-  const float yield = yield_of(law, kappa);
   const float room = law.limit - kappa;
-  if (!(norm > yield) || !(room > 0)) return 0;
+  if (!(norm > yield_stress(law, kappa)) || !(room > 0)) return 0;
   const float stiffest = std::max(law.shear, law.bulk);
-  // If both moduli were the stiffer one, norm / (1 + k D) (1 - slope D) = yield would be linear in D. Its solution is left of
-  // the root of the convex falling function below, so Newton climbs from there to the root.
-  float d = (norm - yield) / (stiffest * yield + law.slope * norm);
+  // If both moduli were the stiffer one, the growth g of kappa would solve norm - stiffest g = Y(kappa + g). Newton's method
+  // climbs from 0 to it while Y is concave; where Y is convex it may pass it, and comes back.
+  float grown = 0;
+  for (int i = 0; i < growth_steps; ++i) {
+    const float value = norm - stiffest * grown - yield_stress(law, kappa + grown);
+    grown = std::clamp(grown + value / (stiffest + slope_of(law, kappa + grown)), 0.0f, room);
+  }
+  float d = grown / (norm - stiffest * grown);
   if (law.shear != law.bulk) {
     for (int i = 0; i < 5; ++i) {
       const float a = deviator / (1 + law.shear * d), b = mean / (1 + law.bulk * d);
-      const float left = std::sqrt(a * a + b * b);
-      const float slope = -(a * a * law.shear / (1 + law.shear * d) + b * b * law.bulk / (1 + law.bulk * d)) / left;
-      const float rest = 1 - law.slope * d;
-      const float value = left * rest - yield;
-      const float derivative = slope * rest - left * law.slope;
-      if (!(value > 0)) break;
-      d -= value / derivative;
+      const float left = std::sqrt(a * a + b * b), now = kappa + std::min(d * left, room);
+      const float fall = (a * a * law.shear / (1 + law.shear * d) + b * b * law.bulk / (1 + law.bulk * d)) / left;
+      const float slope = slope_of(law, now);
+      d = std::max(0.0f, d + (left - yield_stress(law, now)) / (fall + slope * std::max(0.0f, left - d * fall)));
     }
+    const float flowed = norm / (1 + stiffest * d);
+    if (d * flowed > room && norm > stiffest * room) d = room / (norm - stiffest * room);
   }
-  // kappa grows by D times the flowed stress, up to its limit.
-  const float flowed = norm / (1 + stiffest * d);
-  if (d * flowed > room) d = norm > stiffest * room ? room / (norm - stiffest * room) : d;
   return d;
 }
 
@@ -89,7 +116,7 @@ Elastic secant(const Elastic& e, const YieldLaw& law, const Mat3& f, float kappa
   const float mean = e.mu * left.trace() / 3 + pressure_like;
   const float deviator2 = e.mu * e.mu * std::max(0.0f, left.squaredNorm() - left.trace() * left.trace() / 3);
   const float total2 = deviator2 + 3 * mean * mean;
-  const float yield = yield_of(law, kappa);
+  const float yield = yield_stress(law, kappa);
   if (total2 <= yield * yield) return e;
   const float d = plastic_multiplier(law, std::sqrt(deviator2), std::sqrt(3.0f) * std::fabs(mean), kappa);
   const float mu = e.mu / (1 + law.shear * d);
@@ -121,7 +148,7 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
     const double j = stretch.prod();
     norm = ((e.mu * stretch.cwiseAbs2()).array() + e.l * (j - e.gamma) * j).matrix().norm();
     grown = (trial - strain).norm();
-    return std::min((norm - double(yield_of(law, kappa + float(grown)))) / law.shear, room - grown);
+    return std::min((norm - double(yield_stress(law, kappa + float(grown)))) / law.shear, room - grown);
   };
   double low = 0, high = 1, below = excess(0), above = excess(1);
   if (!(above > 0) || below > 0) return 0;
@@ -139,8 +166,9 @@ float flow(const Elastic& e, const YieldLaw& law, const Mat3& f, Gradients& grad
     }
     if (std::fabs(value) < 1e-6) break;
   }
-  // Integral of Y d(kappa).
-  const double work = 0.5 * (norm + law.start + law.slope * kappa) * grown;
+  // Integral of Y d(kappa), by Gauss with three points.
+  const auto yield_at = [&](double share) { return double(yield_stress(law, kappa + float(share * grown))); };
+  const double work = (5 * yield_at(0.11270167) + 8 * yield_at(0.5) + 5 * yield_at(0.88729833)) / 18 * grown;
   kappa = std::min(law.limit, kappa + float(grown));
   // Fe_new = Fe V diag(exp(strain - trial)) V^T. The same factor is applied to the rest gradients.
   const Eigen::Vector3d ratio = (strain - trial).unaryExpr([](double x) { return exp_of(x); });

@@ -10,12 +10,17 @@
 
 namespace crumple {
 
+// J_p of a tet (flow.h) is taken to be within these: the uniaxial crush and stretch at the largest plastic_limit.
+inline constexpr float least_volume_ratio = 0.05f, most_volume_ratio = 20;
+// Newton's steps to the growth of kappa in a sub-step.
+inline constexpr int growth_steps = 3;
+
 // A material's constants, Pa; see flow.h.
 struct Law {
-  float mu, l, gamma;         // elastic
-  float shear, bulk;          // 2 mu, 3 K
-  float start, slope, limit;  // yield stress, its slope over kappa, limit of kappa
-  float room;                 // limit of kappa now: 0 while flow is suspended
+  float mu, l, gamma;                                  // elastic
+  float shear, bulk;                                   // 2 mu, 3 K
+  float start, slope, fold, dense, dense_from, limit;  // of the yield stress
+  float room;                                          // limit of kappa now: 0 while flow is suspended
 
   friend bool operator==(const Law&, const Law&) = default;
 };
@@ -25,6 +30,7 @@ struct TetLanes {
   float gradient[9][lanes];  // rows: corners 1..3; 1/m
   float volume[lanes];       // rest volume, m^3
   float kappa[lanes];
+  float yield[lanes];  // yield stress at kappa, Pa
 };
 
 // Per lane of a row: dot products of the node's gradient with the gradients of the three other corners, 1/m^2.

@@ -122,7 +122,7 @@ void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
 
 template <int N>
 struct LawLanes {
-  Floats<N> mu, l, gamma, shear, bulk, start, slope, limit;
+  Floats<N> mu, l, gamma, shear, bulk, start, slope, fold, dense, dense_from, limit;
   bool isotropic;  // shear equals bulk everywhere, so there is nothing to iterate
 };
 
@@ -140,6 +140,9 @@ CRUMPLE_INLINE LawLanes<N> laws(const TetView& v, const uint8_t* region) {
   out.bulk = broadcast<N>(law.bulk);
   out.start = broadcast<N>(law.start);
   out.slope = broadcast<N>(law.slope);
+  out.fold = broadcast<N>(law.fold);
+  out.dense = broadcast<N>(law.dense);
+  out.dense_from = broadcast<N>(law.dense_from);
   out.limit = broadcast<N>(law.room);
   if (uniform) return out;
   for (int k = 1; k < N; ++k) {
@@ -152,6 +155,9 @@ CRUMPLE_INLINE LawLanes<N> laws(const TetView& v, const uint8_t* region) {
     out.bulk[k] = other.bulk;
     out.start[k] = other.start;
     out.slope[k] = other.slope;
+    out.fold[k] = other.fold;
+    out.dense[k] = other.dense;
+    out.dense_from[k] = other.dense_from;
     out.limit[k] = other.room;
   }
   return out;
@@ -187,7 +193,24 @@ CRUMPLE_INLINE Matrices<N> deformation_of(const Edges<N>& e, const Vec3s<N>& ga,
 // The yield stress is at least that of a strain of 1e-5: without any yield stress a tet would be a fluid.
 template <int N>
 CRUMPLE_INLINE Floats<N> yield_of(const LawLanes<N>& law, const Floats<N>& kappa) {
-  return larger(law.start + law.slope * kappa, 1e-5f * larger(law.shear, law.bulk));
+  const Floats<N> left = 1.0f / (1.0f + kappa * law.fold), beyond = larger(kappa - law.dense_from, Floats<N>{});
+  return larger(law.start + law.slope * kappa * left + law.dense * beyond * beyond, 1e-5f * larger(law.shear, law.bulk));
+}
+template <int N>
+CRUMPLE_INLINE Floats<N> slope_of(const LawLanes<N>& law, const Floats<N>& kappa) {
+  const Floats<N> left = 1.0f / (1.0f + kappa * law.fold);
+  return law.slope * left * left + 2.0f * law.dense * larger(kappa - law.dense_from, Floats<N>{});
+}
+
+// volume_ratio() and crushed() of flow.h. D: determinant of the gradients, 1/m^3.
+template <int N>
+CRUMPLE_INLINE void crush(const Floats<N>& volume, const Floats<N>& D, LawLanes<N>& law) {
+  Floats<N> ratio = 1.0f / (6.0f * volume * D);
+  const Floats<N> bounded = smaller(larger(ratio, broadcast<N>(least_volume_ratio)), broadcast<N>(most_volume_ratio));
+  ratio = ratio > 0.0f ? bounded : broadcast<N>(1);
+  law.start *= ratio;
+  law.slope *= ratio;
+  law.dense *= ratio;
 }
 
 // plastic_multiplier() of flow.h; 0 where the tet stays elastic.
@@ -198,7 +221,13 @@ CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& dev
   const Floats<N> stiffest = larger(law.shear, law.bulk);
   const Floats<N> yield = yield_of<N>(law, kappa);
   const Floats<N> room = law.limit - kappa;
-  Floats<N> d = (norm - yield) / (stiffest * yield + law.slope * norm);
+  const Floats<N> none{}, most = larger(room, none);
+  Floats<N> grown{};
+  for (int i = 0; i < growth_steps; ++i) {
+    const Floats<N> value = norm - stiffest * grown - yield_of<N>(law, kappa + grown);
+    grown = smaller(larger(grown + value / (stiffest + slope_of<N>(law, kappa + grown)), none), most);
+  }
+  Floats<N> d = grown / (norm - stiffest * grown);
   if (!law.isotropic) {
     const Floats<N> deviator = root<N>(deviator2);
     const Floats<N> pressure = 1.7320508f * (mean < 0.0f ? -mean : mean);
@@ -206,16 +235,14 @@ CRUMPLE_INLINE Floats<N> multiplier(const LawLanes<N>& law, const Floats<N>& dev
       const Floats<N> da = 1.0f + law.shear * d, db = 1.0f + law.bulk * d;
       const Floats<N> a = deviator / da, b = pressure / db;
       const Floats<N> left = larger(root<N>(a * a + b * b), broadcast<N>(1e-20f));
-      const Floats<N> slope = (a * a * law.shear / da + b * b * law.bulk / db) / left;
-      const Floats<N> rest = 1.0f - law.slope * d;
-      const Floats<N> value = left * rest - yield;
-      const Floats<N> step = value / (slope * rest + left * law.slope);
-      d = (value > 0.0f) & (law.shear != law.bulk) ? d + step : d;
+      const Floats<N> fall = (a * a * law.shear / da + b * b * law.bulk / db) / left;
+      const Floats<N> now = kappa + smaller(d * left, most), slope = slope_of<N>(law, now);
+      const Floats<N> step = (left - yield_of<N>(law, now)) / (fall + slope * larger(left - d * fall, none));
+      d = law.shear != law.bulk ? larger(d + step, none) : d;
     }
+    const Floats<N> flowed = norm / (1.0f + stiffest * d), gap = norm - stiffest * room;
+    d = (d * flowed > room) & (gap > 0.0f) ? room / gap : d;
   }
-  const Floats<N> flowed = norm / (1.0f + stiffest * d);
-  const Floats<N> gap = norm - stiffest * room;
-  d = (d * flowed > room) & (gap > 0.0f) ? room / gap : d;
   return (norm > yield) & (room > 0.0f) ? d : Floats<N>{};
 }
 
@@ -231,7 +258,7 @@ uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, F
     unsigned beyond = 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const TetLanes& tet = v.tet[g];
-      const LawLanes<N> law = laws<N>(v, v.region + lanes * g + lane);
+      LawLanes<N> law = laws<N>(v, v.region + lanes * g + lane);
       const Vec3s<N> ga = gradient_row<N>(tet, lane, 0), gb = gradient_row<N>(tet, lane, 1), gc = gradient_row<N>(tet, lane, 2);
       const Matrices<N> f = deformation_of<N>(edges_of<N>(v.node, v.group[g], lane), ga, gb, gc);
       const Floats<N> j = dot(f.col[0], cross(f.col[1], f.col[2]));
@@ -248,12 +275,13 @@ uint32_t update_secant_moduli(const TetView& v, uint32_t first, uint32_t last, F
       const Floats<N> mean = law.mu * third + law.l * (j - law.gamma) * j;
       const Floats<N> volume = load<N>(tet.volume + lane);
       lost += uint32_t(std::popcount(bits<N>(((j <= lost_volume) | (third > lost_stretch)) & (volume > 0.0f))));
-      const Floats<N> yield = yield_of<N>(law, load<N>(tet.kappa + lane));
+      const Floats<N> yield = load<N>(tet.yield + lane);
       if (!changes && !any<N>(deviator2 + 3.0f * mean * mean > yield * yield)) continue;
+      const Floats<N> D = dot(ga, cross(gb, gc));
+      crush<N>(volume, D, law);
       const Floats<N> d = multiplier<N>(law, deviator2, mean, load<N>(tet.kappa + lane));
       const Floats<N> mu = law.mu / (1.0f + law.shear * d);
       const Floats<N> l = (law.bulk / (1.0f + law.bulk * d) + mu) * (1.0f / 3);  // lambda + mu, from 3 K = 3 lambda + 2 mu
-      const Floats<N> D = dot(ga, cross(gb, gc));
       const Floats<N> x = volume * mu, y = volume * l * D * D;
       const Floats<N> z = D > 0.0f ? (1.0f + mu / l) / D : Floats<N>{};
       uint32_t index[N];
@@ -397,6 +425,8 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, con
                                0.5f * log_of<N>(larger(zz, least))};
       Trial<N> trial;
       trial.law = laws<N>(v, v.region + lanes * g + lane);
+      const Floats<N> volume = load<N>(tet.volume + lane);
+      crush<N>(volume, dot(gradient[0], cross(gradient[1], gradient[2])), trial.law);
       trial.mean = (strain.x + strain.y + strain.z) * (1.0f / 3);
       trial.deviator = {strain.x - trial.mean, strain.y - trial.mean, strain.z - trial.mean};
       trial.kappa = load<N>(tet.kappa + lane);
@@ -420,18 +450,23 @@ double flow(const TetView& v, TetLanes* tets, uint32_t first, uint32_t last, con
       const Flowed<N> now = flowed_at<N>(trial, share);
       // The factor axes diag(exp(change)) axes^T is applied to the gradients.
       const Vec3s<N> grow = {exp_of<N>(now.change.x) - 1.0f, exp_of<N>(now.change.y) - 1.0f, exp_of<N>(now.change.z) - 1.0f};
-      const Floats<N> energy = 0.5f * (now.norm + trial.law.start + trial.law.slope * trial.kappa) * now.grown;
+      const auto yield_at = [&](float of) { return yield_of<N>(trial.law, trial.kappa + of * now.grown); };
+      const Floats<N> energy =
+          (5.0f * yield_at(0.11270167f) + 8.0f * yield_at(0.5f) + 5.0f * yield_at(0.88729833f)) * (1.0f / 18) * now.grown;
       const Floats<N> kappa = smaller(trial.law.limit, trial.kappa + now.grown);
-      const Floats<N> volume = load<N>(tet.volume + lane);
       Vec3s<N> changed[3];
       for (int k = 0; k < 3; ++k) {
         const Vec3s<N>& g0 = gradient[k];
         changed[k] = g0 + ax * (grow.x * dot(ax, g0)) + ay * (grow.y * dot(ay, g0)) + az * (grow.z * dot(az, g0));
       }
+      LawLanes<N> next = laws<N>(v, v.region + lanes * g + lane);
+      crush<N>(volume, dot(changed[0], cross(changed[1], changed[2])), next);
+      const Floats<N> yield = yield_of<N>(next, kappa);
       for (int k = 0; k < N; ++k) {
         if (!(part >> k & 1) || !flows[k]) continue;
         work += double(volume[k]) * double(energy[k] > 0 ? energy[k] : 0.0f);
         tet.kappa[lane + k] = kappa[k];
+        tet.yield[lane + k] = yield[k];
         for (int corner = 0; corner < 3; ++corner) {
           tet.gradient[3 * corner][lane + k] = changed[corner].x[k];
           tet.gradient[3 * corner + 1][lane + k] = changed[corner].y[k];

@@ -15,17 +15,27 @@ inline constexpr int region_limit = 16;  // same as max_regions in car.h
 enum class Solver : uint8_t { nodal, classic };
 
 struct Material {
-  // Young's modulus of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. The yield stress and its
-  // slope below set the crush (bench/README.md); the modulus sets the rebound: 15 MPa gives a restitution of 0.2 at 48 km/h.
-  float young_modulus = 15e6f;
+  // Young's modulus of the body as a homogeneous crushable foam, Pa, [1e4, 1e10]. A car is mostly air. All stresses below are
+  // shares of it, so this one number scales every force of the car.
+  float young_modulus = 25e6f;
   // Elastic Poisson ratio, [0, 0.45]. A crushed shell does not bulge; 0 also makes plastic flow parallel to strain.
   float poisson_ratio = 0.0f;
+  // The yield stress over the accumulated plastic strain k, as a share of young_modulus (flow.h has the whole formula):
+  //   yield_strain + hardening k / (1 + k / hardening_strain) + densification max(0, k - densification_strain)^2
   // Elastic strain at which flow begins, [0, 1].
-  float yield_strain = 0.009f;
-  // Slope of yield stress over accumulated plastic strain, as a share of young_modulus, [0, 1].
-  float hardening = 0.045f;
-  // Norm of the plastic logarithmic strain that no tet exceeds, [0, 3]. 1.2: crushed to 30 % of its length.
-  float plastic_limit = 1.2f;
+  float yield_strain = 0.0012f;
+  // Slope of the yield stress where k is 0, [0, 1].
+  float hardening = 0.32f;
+  // Plastic strain at which half of the hardening is done, [0.001, 1000]: the yield stress rises by hardening times this, and
+  // then stays on a plateau, while the structure folds. 1000: it rises without end.
+  float hardening_strain = 0.064f;
+  // What is crushed flat is solid: the yield stress rises again, [0, 100], ...
+  float densification = 0.23f;
+  // ... from this plastic strain on, [0, 3]. 1.1: crushed to a third of its length.
+  float densification_strain = 1.1f;
+  // Norm of the plastic logarithmic strain that no tet exceeds, [0, 3]. 3: crushed to 5 % of its length. Densification stops
+  // a crash before.
+  float plastic_limit = 3.0f;
   // Drag on a node against the car's frame, per volume that the node stands for, N s/m^4, [0, 1e9]. Drag takes energy, so the
   // default is the smallest with which the solver still converges.
   float drag = 5e3f;
@@ -43,7 +53,7 @@ struct Material {
 struct Parameters {
   Solver solver = Solver::nodal;
   // `nodal`: most sweeps per sub-step; `classic`: iterations per tick. [1, 1000].
-  uint16_t iterations = 24;
+  uint16_t iterations = 32;
   // A sub-step of `nodal` ends when its last two sweeps moved the awake nodes by no more than this (rms), m, [0, 0.1]. It is an
   // absolute length, because a share of the nodes' way would spend sweeps where nothing moves and save them where the dent is
   // made. 0: do all iterations.

@@ -642,20 +642,24 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Defor
   solver.still.resize(blocks.anchored.size());
   solver.touched.resize(blocks.anchored.size());
   solver.volume = 0;
+  std::array<YieldLaw, region_limit> laws;
+  for (int r = 0; r < region_limit; ++r) laws[r] = yield_law(parameters.region[r]);
   for (uint32_t i = 0; i < t; ++i) {
     TetLanes& tet = solver.tets[i / lanes];
     const uint32_t lane = i % lanes;
     for (int k = 0; k < 9; ++k) tet.gradient[k][lane] = body.gradients[i].corner[k / 3][k % 3];
     tet.kappa[lane] = body.hardening[i];
     tet.volume[lane] = model.tet_rest[i];
+    tet.yield[lane] =
+        yield_stress(crushed(laws[model.tet_region[i]], volume_ratio(model.tet_rest[i], body.gradients[i])), body.hardening[i]);
     solver.volume += double(model.tet_rest[i]);
     weigh_tet(body, blocks, i, solver);
   }
   solver.law.resize(region_limit);
   for (int r = 0; r < region_limit; ++r) {
     const Elastic e = elastic(parameters.region[r]);
-    const YieldLaw y = yield_law(parameters.region[r]);
-    solver.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.limit, y.limit};
+    const YieldLaw& y = laws[r];
+    solver.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.fold, y.dense, y.dense_from, y.limit, y.limit};
   }
   uint8_t same[region_limit];  // the first region with the same law, so that most groups of tets have one law
   for (int r = 0; r < region_limit; ++r) {

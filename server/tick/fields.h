@@ -75,7 +75,7 @@ void field(File& file, Is<Motion> auto& motion) {
 }
 template <class File>
 void field(File& file, Is<Parameters> auto& parameters) {
-  static_assert(sizeof(Material) == 10 * sizeof(float));
+  static_assert(sizeof(Material) == 13 * sizeof(float));
   field(file, parameters.solver, parameters.iterations, parameters.tolerance, parameters.substeps);
   file.raw(parameters.region.data(), sizeof parameters.region);
 }

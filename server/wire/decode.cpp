@@ -138,6 +138,9 @@ ParametersOrder read(const schema::Parameters& from, Checker& check) {
   take("poisson_ratio", from.poisson_ratio(), &Material::poisson_ratio);
   take("yield_strain", from.yield_strain(), &Material::yield_strain);
   take("hardening", from.hardening(), &Material::hardening);
+  take("hardening_strain", from.hardening_strain(), &Material::hardening_strain);
+  take("densification", from.densification(), &Material::densification);
+  take("densification_strain", from.densification_strain(), &Material::densification_strain);
   take("plastic_limit", from.plastic_limit(), &Material::plastic_limit);
   take("drag", from.drag(), &Material::drag);
   take("friction", from.friction(), &Material::friction);

@@ -24,6 +24,7 @@ Material material(float poisson = 0, float yield = 0.009f) {
   Material out;
   out.poisson_ratio = poisson;
   out.yield_strain = yield;
+  out.plastic_limit = 1.2f;
   return out;
 }
 
@@ -94,7 +95,7 @@ TEST(ReferenceLaw, FlowEndsOnTheHardenedYieldSurfaceAndGoesAlongTheStress) {
       const Mapped mapped = map_strain(m, trial, kappa);
       if (mapped.growth == 0) continue;
       const bool at_limit = kappa + mapped.growth > m.limit - 1e-9;
-      const double yield = m.start + m.slope * (kappa + mapped.growth);
+      const double yield = m.yield(kappa + mapped.growth);
       EXPECT_NEAR(((trial - mapped.strain) / mapped.growth - mapped.stress.normalized()).norm(), 0, 1e-9);
       EXPECT_LE(kappa + mapped.growth, m.limit + 1e-12);
       if (at_limit) {
@@ -131,14 +132,14 @@ TEST(ReferenceLaw, StressIsTheSlopeOfTheEnergyAndTheTangentThatOfTheStress) {
 }
 
 TEST(ReferenceLaw, PressureAloneGivesTheClosedForm) {
-  // All three strains e: |tau| = sqrt(3) |mu exp(2e) + l (exp(3e) - gamma) exp(3e)| = start + slope sqrt(3) |trial - e|.
+  // All three strains e: |tau| = sqrt(3) |mu exp(2e) + l (exp(3e) - gamma) exp(3e)| = Y(sqrt(3) |trial - e|).
   for (float poisson : {0.0f, 0.3f}) {
     const ReferenceMaterial m = reference_material(material(poisson));
     for (double trial : {-0.15, -0.05, 0.05, 0.2}) {
       const auto excess = [&](double e) {
         const double j = std::exp(3 * e);
-        return std::sqrt(3.0) * std::fabs(m.mu * std::exp(2 * e) + m.l * (j - m.gamma) * j) - m.start -
-               m.slope * std::sqrt(3.0) * std::fabs(trial - e);
+        return std::sqrt(3.0) * std::fabs(m.mu * std::exp(2 * e) + m.l * (j - m.gamma) * j) -
+               m.yield(std::sqrt(3.0) * std::fabs(trial - e));
       };
       double low = 0, high = trial;
       for (int k = 0; k < 100; ++k) (excess(0.5 * (low + high)) > 0 ? high : low) = 0.5 * (low + high);
@@ -149,9 +150,29 @@ TEST(ReferenceLaw, PressureAloneGivesTheClosedForm) {
   }
 }
 
+TEST(ReferenceLaw, TheSlopeAndTheAreaOfTheYieldStressAreItsOwn) {
+  const ReferenceMaterial m = reference_material(material(), 0.7);
+  EXPECT_NEAR(m.yield(0), 0.7 * 25e6 * 0.009, 1);
+  constexpr double nudge = 1e-6;
+  double area = 0;
+  constexpr int slices = 20000;
+  for (int k = 0; k < slices; ++k) {
+    const double kappa = 1.2 * (k + 0.5) / slices;
+    area += m.yield(kappa) * 1.2 / slices;
+    if (k % 100 == 0) {
+      EXPECT_NEAR((m.yield(kappa + nudge) - m.yield(kappa - nudge)) / (2 * nudge), m.rise(kappa), 1e-5 * m.shear);
+    }
+    if (k % 1000 == 0) {
+      EXPECT_NEAR(m.plastic(kappa, 0.3), m.plastic(0, kappa + 0.3) - m.plastic(0, kappa), 1e-9 * area);
+    }
+  }
+  EXPECT_NEAR(m.plastic(0, 1.2), area, 1e-6 * area);
+}
+
 TEST(ReferenceLaw, ASmallPullGivesTheKappaOfTheLinearLaw) {
   // Strains so small that stress = E strain: kappa = (E strain - start) / (E + slope).
-  const Material small = material(0, 1e-5f);
+  Material small = material(0, 1e-5f);
+  small.hardening_strain = 1000;
   const ReferenceMaterial m = reference_material(small);
   const Mapped mapped = map_strain(m, {3e-5, 0, 0}, 0);
   EXPECT_NEAR(mapped.growth, 2e-5 / (1 + double(small.hardening)), 1e-9);

@@ -106,14 +106,17 @@ inline std::vector<std::unique_ptr<Mesh>> meshes() {
 
 // ---- a body in which every branch is taken ----------------------------------------------------------------------------------
 
-// Regions, side by side in groups of tets: foam; with a Poisson ratio; another Poisson ratio, soft; nearly at the plastic
-// limit.
+// Regions, side by side in groups of tets: foam; with a Poisson ratio, hardening without end; another Poisson ratio, soft,
+// dense from the beginning; nearly at the plastic limit.
 inline Parameters materials() {
   Parameters parameters;
+  for (Material& material : parameters.region) material.plastic_limit = 1.2f;
   parameters.region[1].poisson_ratio = 0.3f;
   parameters.region[1].hardening = 0.2f;
+  parameters.region[1].hardening_strain = 1000;
   parameters.region[2].poisson_ratio = 0.4f;
   parameters.region[2].young_modulus = 2e6f;
+  parameters.region[2].densification_strain = 0;
   parameters.region[3].plastic_limit = 0.05f;
   return parameters;
 }
@@ -215,6 +218,7 @@ struct State {
   float& kappa(size_t t) { return solver.tets[t / lanes].kappa[t % lanes]; }
   bool flows(size_t t) const { return solver.flowing[t / lanes] >> (t % lanes) & 1; }
   const Material& material(size_t t) const { return parameters.region[mesh->tet_region[t]]; }
+  YieldLaw law(size_t t) const { return crushed(yield_law(material(t)), volume_ratio(mesh->model.tet_rest[t], gradients(t))); }
 };
 
 inline std::unique_ptr<State> state(float noise = 0.05f, unsigned seed = 5) {

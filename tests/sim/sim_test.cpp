@@ -304,7 +304,7 @@ TEST(Flow, AfterwardsTheStressLiesOnTheHardenedYieldSurface) {
       Mat3 rows;
       for (int i = 0; i < 3; ++i) rows.row(i) = gradients.corner[i].transpose();
       const Mat3 after = f * rows;
-      const double yield = law.start + law.slope * kappa;
+      const double yield = double(yield_stress(law, kappa));
       EXPECT_NEAR(kirchhoff(e, after.cast<double>()).norm() / yield, 1, 0.01) << "poisson " << poisson << ", case " << k;
       EXPECT_GT(work, 0);
     }
@@ -354,9 +354,92 @@ TEST(Flow, SecantModuliGiveTheFlowedStressAtTheTrialStrain) {
   const Elastic soft = secant(e, law, f, 0);
   const double trial = kirchhoff(e, f.cast<double>()).norm(), flowed = kirchhoff(soft, f.cast<double>()).norm();
   EXPECT_LT(flowed, 0.2 * trial);
-  // |tau| = start + slope kappa, where kappa is the released stress as a strain.
+  // |tau| = Y(kappa), where kappa is the released stress as a strain.
   const double kappa = (trial - flowed) / material.young_modulus;
-  EXPECT_NEAR(flowed, law.start + law.slope * kappa, 0.02 * flowed);
+  EXPECT_NEAR(flowed, double(yield_stress(law, float(kappa))), 0.02 * flowed);
+}
+
+TEST(Flow, YieldStressRisesToItsPlateauAndAgainWhereTheMaterialIsDense) {
+  Material material;
+  material.young_modulus = 1e7f;
+  material.yield_strain = 0.01f;
+  material.hardening = 0.2f;
+  material.hardening_strain = 0.1f;
+  material.densification = 0.4f;
+  material.densification_strain = 0.5f;
+  const YieldLaw law = yield_law(material);
+  EXPECT_FLOAT_EQ(yield_stress(law, 0), 1e5f);
+  EXPECT_FLOAT_EQ(yield_stress(law, 0.1f), 1e5f + 0.5f * 2e5f);  // half of hardening times hardening_strain
+  EXPECT_FLOAT_EQ(yield_stress(law, 0.4f), 1e5f + 0.8f * 2e5f);
+  EXPECT_FLOAT_EQ(yield_stress(law, 0.9f), 1e5f + 0.9f * 2e5f + 4e6f * 0.16f);
+  EXPECT_FLOAT_EQ(yield_stress(crushed(law, 0.5f), 0.9f), 0.5f * yield_stress(law, 0.9f));
+  material.yield_strain = material.hardening = material.densification = 0;
+  EXPECT_FLOAT_EQ(yield_stress(yield_law(material), 1), 1e-5f * 1e7f);  // never a fluid
+}
+
+TEST(Flow, VolumeRatioIsThatOfTheTetWithoutLoad) {
+  // Edges of 2, 3 and 4 m along the axes.
+  const float rest = 4;  // m^3
+  Gradients gradients{{Vec3(0.5f, 0, 0), Vec3(0, 1 / 3.0f, 0), Vec3(0, 0, 0.25f)}};
+  EXPECT_FLOAT_EQ(volume_ratio(rest, gradients), 1);
+  gradients.corner[0] *= 2;  // crushed to half of its length
+  EXPECT_FLOAT_EQ(volume_ratio(rest, gradients), 0.5f);
+  gradients.corner[1] /= 3;
+  EXPECT_FLOAT_EQ(volume_ratio(rest, gradients), 1.5f);
+  gradients.corner[2] *= 1e6f;
+  EXPECT_EQ(volume_ratio(rest, gradients), least_volume_ratio);
+  gradients.corner[2] = -gradients.corner[2];  // no flow makes this
+  EXPECT_EQ(volume_ratio(rest, gradients), 1);
+}
+
+// One tet of unit edges, pressed or pulled along x in small steps. Its force is the stress over the section that it had at
+// rest.
+struct Pressed {
+  Material material;
+  Gradients gradients = identity_gradients();
+  float kappa = 0;
+  double work = 0, force = 0;
+  void to(float stretch) {
+    Mat3 rows;
+    for (int i = 0; i < 3; ++i) rows.row(i) = gradients.corner[i].transpose();
+    const YieldLaw law = crushed(yield_law(material), volume_ratio(1 / 6.0f, gradients));
+    work += double(flow(elastic(material), law, Vec3(stretch, 1, 1).asDiagonal() * rows, gradients, kappa));
+    for (int i = 0; i < 3; ++i) rows.row(i) = gradients.corner[i].transpose();
+    const Mat3 after = Vec3(stretch, 1, 1).asDiagonal() * rows;
+    force = kirchhoff(elastic(material), after.cast<double>())(0, 0) / double(stretch);
+  }
+};
+
+TEST(Flow, TheForceOfABarIsItsYieldStressTimesItsSectionAndNeverFalls) {
+  for (const float end : {0.25f, 2.5f}) {
+    Pressed bar;
+    const YieldLaw law = yield_law(bar.material);
+    constexpr int steps = 400;
+    double last = 0;
+    for (int k = 1; k <= steps; ++k) {
+      bar.to(std::pow(end, float(k) / steps));
+      EXPECT_GE(std::fabs(bar.force), last * (1 - 1e-4)) << "step " << k;
+      last = std::fabs(bar.force);
+      if (bar.kappa < 0.05f) continue;
+      // The elastic part of the stretch and the length of a step stay between the two.
+      EXPECT_NEAR(last / double(yield_stress(law, bar.kappa)), 1, 0.06) << "step " << k;
+    }
+    EXPECT_NEAR(bar.kappa, std::fabs(std::log(end)), 0.06);
+  }
+}
+
+TEST(Flow, TheWorkIsTheAreaUnderTheYieldStress) {
+  for (const float stretch : {0.95f, 0.7f, 0.35f}) {  // in one step, however long
+    Pressed bar;
+    const YieldLaw law = yield_law(bar.material);
+    bar.to(stretch);
+    double area = 0;
+    constexpr int slices = 1000;
+    for (int k = 0; k < slices; ++k) {
+      area += double(yield_stress(law, (float(k) + 0.5f) / slices * bar.kappa)) * double(bar.kappa) / slices;
+    }
+    EXPECT_NEAR(bar.work / area, 1, 0.01) << "stretch " << stretch;
+  }
 }
 
 // ---- twin: the sweeps against an independent gradient in double precision -------------------------------------------------

@@ -107,6 +107,7 @@ typedef struct CrumpleParameters {
   float tolerance;                // NaN: keep
   int region;                     // the one that the fields below are for; -1: all
   float young_modulus, poisson_ratio, yield_strain, hardening, plastic_limit, drag;  // NaN: keep
+  float hardening_strain, densification, densification_strain;                       // NaN: keep
   float friction;                                                                    // NaN: keep; on other cars
   float distance_stiffness, volume_stiffness, plasticity;                            // NaN: keep; of `classic`
 } CrumpleParameters;

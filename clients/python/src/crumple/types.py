@@ -75,6 +75,9 @@ class Parameters:
     poisson_ratio: float | None = None
     yield_strain: float | None = None
     hardening: float | None = None
+    hardening_strain: float | None = None
+    densification: float | None = None
+    densification_strain: float | None = None
     plastic_limit: float | None = None
     drag: float | None = None
     friction: float | None = None  # on other cars
