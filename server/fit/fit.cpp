@@ -22,13 +22,19 @@ constexpr int most_evaluations = 12;
 
 constexpr Constant constants[] = {
     {"stress", "how deep the car is crushed", 1.5, [](float factor, Material& m) { m.young_modulus *= factor; }},
-    {"hardening", "how much stiffer it becomes as it is crushed", 0.7,
-     [](float factor, Material& m) { m.hardening *= factor; }},
+    {"hardening_strain", "at which crush the plateau begins, its height kept", 0.7,
+     [](float factor, Material& m) {
+       m.hardening_strain *= factor;
+       m.hardening /= factor;
+     }},
+    {"densification", "how it stops a car that is crushed deeply", 0.7,
+     [](float factor, Material& m) { m.densification *= factor; }},
     {"stiffness", "how fast it bounces back", 0.7,
      [](float factor, Material& m) {
        m.young_modulus *= factor;
        m.yield_strain /= factor;
        m.hardening /= factor;
+       m.densification /= factor;
      }},
 };
 
