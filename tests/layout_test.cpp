@@ -46,12 +46,13 @@ const std::map<std::string, std::set<std::string>> may_include = {
     {"wire", {"wire", "protocol", "sim", "schema"}},
     {"tick", {"tick", "wire", "car", "protocol", "sim", "schema"}},
     {"bake", {"bake", "car", "protocol", "sim", "schema", "io"}},
+    {"fit", {"fit", "car", "sim", "io"}},
     {"reference", {"reference", "bake", "car", "sim"}},
     {"viewer", {"viewer", "protocol", "schema"}},
     {"recording", {"recording", "tick", "viewer", "wire", "car", "protocol", "sim", "schema", "io"}},
     {"service", {"service", "recording", "bake", "tick", "car", "protocol", "schema", "io"}},
     {"gateway", {"gateway", "recording", "bake", "viewer", "car", "protocol", "sim", "schema", "io"}},
-    {"cli", {"cli", "service", "gateway", "recording", "bake", "viewer", "protocol", "schema", "io"}},
+    {"cli", {"cli", "fit", "service", "gateway", "recording", "bake", "viewer", "protocol", "schema", "io"}},
     {"cpp", {"cpp", "viewer", "protocol", "schema", "io"}},  // clients/cpp
 };
 

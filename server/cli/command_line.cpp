@@ -9,10 +9,12 @@
 #include <sstream>
 
 #include "cli/bake_command.h"
+#include "cli/fit_command.h"
 #include "cli/info.h"
 #include "cli/map.h"
 #include "cli/render.h"
 #include "cli/run_client.h"
+#include "fit/test_file.h"
 #include "gateway/view.h"
 #include "io/files.h"
 #include "io/net.h"
@@ -320,6 +322,37 @@ Verb add_map(CLI::App& app, MapOptions& options) {
   return [&options] { return map_mesh(options.car, options.mesh); };
 }
 
+Verb add_fit(CLI::App& app, FitCommandOptions& options) {
+  CLI::App& verb = *app.add_subcommand("fit", "Finds a car's material from published crash tests, and writes it as a preset");
+  verb.add_option("CAR", options.cars, "baked car; with several levels the coarsest is fitted, the others check it")
+      ->required()
+      ->check(is_file);
+  verb.add_option("--tests", options.tests, "the tests; see below")->required()->check(is_file)->type_name("TESTS.csv");
+  verb.add_option("-o,--output", options.output, "the preset to write, for `crumple drive --preset`")
+      ->required()
+      ->type_name("PRESET.json");
+  verb.add_flag("--scale", options.scale, "fits only the scale of all stresses, whatever the tests are");
+  verb.add_option("--about", options.about, "what the preset says of itself; default: the tests' names");
+  verb.add_option("--picture", options.picture, "also draws published crush and force beside ours")->type_name("FILE.png");
+  verb.footer(
+      "TESTS.csv is a table of crashes into a rigid wall, one hit a row. The first row names its columns. Lines that begin "
+      "with "
+      "# are comments. This one is of a car that was hit three times (NHTSA tests 1201 to 1203, Ford Taurus 1986):\n\n"
+      "  test,car,mass_kg,width_mm,speed_kmh,damage_mm,c1_mm,c2_mm,c3_mm,c4_mm,c5_mm,c6_mm\n"
+      "  1201,taurus,1591,1768,15.5,1664,25,51,76,79,71,48\n"
+      "  1202,taurus,1591,1768,31.9,1664,170,201,221,224,213,173\n"
+      "  1203,taurus,1591,1768,32.3,1664,320,353,373,376,366,333\n\n"
+      "The car is scaled to length and width of each test. Columns (empty cells are allowed unless it says always):\n\n" +
+      explain_columns() +
+      "\nOne test, or only A and B, gives one constant: the scale of all stresses. A pulse, or three hits of one car, gives "
+      "all "
+      "constants. It takes seconds: some ten runs for each constant. NHTSA's vehicle crash test database has such tests of "
+      "thousands of cars.\n"
+      "Example: crumple fit car-1000.car car-5000.car --tests clients/presets/classes/mid_size.csv -o mine.json --picture "
+      "mine.png");
+  return [&options] { return fit_command(options); };
+}
+
 Verb add_recover(CLI::App& app, RecoverOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
@@ -364,6 +397,7 @@ int run(int argc, const char* const* argv) {
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
   MapOptions map_options;
+  FitCommandOptions fit_options;
   RecoverOptions recover_options;
   ExportOptions export_options;
 
@@ -387,6 +421,7 @@ int run(int argc, const char* const* argv) {
       add_replay(app, replay_options),
       add_info(app, info_files),
       add_map(app, map_options),
+      add_fit(app, fit_options),
       add_recover(app, recover_options),
       add_export(app, export_options),
       add_render(app)};

@@ -13,7 +13,7 @@ namespace crumple::fuzz {
 // Each NAME has functions NAME_run and NAME_seeds, in NAME.cpp or beside a similar entry.
 #define ENTRIES(each)                                                                                                \
   each(key) each(tick) each(inputs) each(snapshot) each(surface) each(client) each(car) each(recording) each(config) \
-      each(network) each(scene) each(regions) each(parts)
+      each(network) each(scene) each(regions) each(parts) each(crash_tests)
 #define DECLARE(name)     \
   bool name##_run(Input); \
   std::vector<std::vector<uint8_t>> name##_seeds();
