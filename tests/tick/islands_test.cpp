@@ -609,5 +609,27 @@ TEST(Islands, OfTenCarsKeepsTheBudgetByOnePlanForAll) {
   EXPECT_GT(shed, 0u);
 }
 
+// A crowd that presses would make a tick seconds long, so there the budget may take more than where few cars meet.
+TEST(Islands, InACrowdTheBudgetLeavesFewerSweepsThanWhereFewCarsMeet) {
+  const auto sweeps = [](int cars) {
+    Meeting meeting;
+    for (int k = 0; k < cars; ++k) meeting.add(std::to_string(k), "h" + std::to_string(k), 4.51 * k, float(0.5 * cars - k));
+    meeting.step({budget_message(1)});
+    std::map<uint32_t, int> count;  // cars by sweeps a sub-step
+    for (int k = 0; k < 20; ++k) {
+      meeting.step();
+      if (k < 3) continue;
+      for (const auto& [id, car] : meeting.world->cars) {
+        if (car.result.substeps > 0 && !car.body.pairs.near.empty()) ++count[car.result.sweeps / car.result.substeps];
+      }
+    }
+    return count;
+  };
+  const auto few = sweeps(6), crowd = sweeps(24);
+  ASSERT_FALSE(few.empty() || crowd.empty());
+  EXPECT_EQ(few.rbegin()->first, 8u);
+  EXPECT_EQ(crowd.rbegin()->first, 4u);
+}
+
 }  // namespace
 }  // namespace crumple
