@@ -142,7 +142,7 @@ Play play_pair(const Crash& crash, const Method& method, int iterations) {
   const double nose = double(nose_of(model) - model.center_of_mass.x()) + gap;
   PileUp cars;
   cars.add(crash.car, -nose, 0, 0, speed);
-  cars.add(crash.car, nose, 0, EIGEN_PI, speed);
+  cars.add(crash.car, nose, 0, 3.14159265358979, speed);
   for (CrashCar& car : cars.cars) {
     if (iterations != by_default) car.parameters.iterations = uint16_t(iterations), car.parameters.tolerance = 0;
     car.parameters.substeps = uint16_t(method.substeps);
