@@ -2,17 +2,16 @@
 //   crumple_chart CAR... [--quick] [--commit NAME] -o CSV
 // in: baked cars. All methods run on the first car, and only `nodal` runs on the others. out: one row for each method, number
 // of iterations, car and scene, in the order of measurement.
-// Scenes: "wall" and "pole" (0.15 m radius), hit at 50 km/h, for twelve ticks of 1/60 s.
-// Error: the distance of the surface's vertices at the end from the result of the same method with many iterations, in % of the
-// largest displacement in that result; rms and largest.
-// Time: the mean of the ticks in which the obstacle touches the car; best and median of several plays. All plays must end with
-// the same bits.
-// Path: `nodal` slows the car down as in any crash. The other methods have no reaction, so they follow the poses that the
-// converged `nodal` car has at the ticks. For comparison `nodal` also runs on this path, and at the wall on more threads.
-// Further scenes: "elastic push" (a wall moves 0.20 m into the nose in twelve ticks and nothing flows, as in bench/peers);
-// "side by side" (two cars on two threads, compared with one car); "untouched" (a car at rest with nothing near); "push in N
-// ticks" (a wall moves in by 0.40 m in N ticks and back; the error is against 40 ticks); "kernel ..." (the method is the
-// instruction set; the time of one pass over all tets). Nothing here is random: the seed is 0.
+// Scenes: "wall" and "pole" (0.15 m radius), hit at 50 km/h, for twelve ticks of 1/60 s. "head-on": the car meets its like,
+// both at 50 km/h; the error is that of the first one, the time that of both. Error: the distance of the surface's vertices at
+// the end from the result of the same method with many iterations, in % of the largest displacement in that result; rms and
+// largest. Time: the mean of the ticks in which the obstacle touches the car; best and median of several plays. All plays must
+// end with the same bits. Path: `nodal` slows the car down as in any crash. The other methods have no reaction, so they follow
+// the poses that the converged `nodal` car has at the ticks. For comparison `nodal` also runs on this path, and at the wall on
+// more threads. Further scenes: "elastic push" (a wall moves 0.20 m into the nose in twelve ticks and nothing flows, as in
+// bench/peers); "side by side" (two cars on two threads, compared with one car); "untouched" (a car at rest with nothing near);
+// "push in N ticks" (a wall moves in by 0.40 m in N ticks and back; the error is against 40 ticks); "kernel ..." (the method is
+// the instruction set; the time of one pass over all tets). Nothing here is random: the seed is 0.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -28,6 +27,7 @@
 #include "car/car.h"
 #include "machine.h"
 #include "reference/baselines.h"
+#include "reference/pile_up.h"
 #include "rooms.h"
 #include "sim/deform.h"
 #include "sim/scratch.h"
@@ -42,7 +42,7 @@ constexpr int ticks = 12, push_ticks = 40;
 constexpr int by_default = 0;  // iterations: until the default tolerance is reached
 const int default_substeps = Parameters().substeps;
 constexpr double push_depth = 0.40, elastic_depth = 0.20;  // m
-constexpr char elastic_push[] = "elastic push";
+constexpr char elastic_push[] = "elastic push", head_on[] = "head-on";
 constexpr size_t small_car = 12'000;  // nodes: larger cars get only some measurements, with --quick without errors
 constexpr double patience = 4;        // s: plays are repeated for at most this long
 const double nan_value = std::numeric_limits<double>::quiet_NaN();
@@ -136,7 +136,37 @@ struct Crash {
   Path path;  // the path of the converged `nodal` car
 };
 
+// The car meets its like.
+Play play_pair(const Crash& crash, const Method& method, int iterations) {
+  const Model& model = crash.car->model;
+  const double nose = double(nose_of(model) - model.center_of_mass.x()) + gap;
+  PileUp cars;
+  cars.add(crash.car, -nose, 0, 0, speed);
+  cars.add(crash.car, nose, 0, 3.14159265358979, speed);
+  for (CrashCar& car : cars.cars) {
+    if (iterations != by_default) car.parameters.iterations = uint16_t(iterations), car.parameters.tolerance = 0;
+    car.parameters.substeps = uint16_t(method.substeps);
+  }
+  tbb::task_arena arena(method.threads);
+  const double brought = cars.energy();
+  const CrashCar& first = cars.cars.front();
+  Play out;
+  for (int k = 0; k < ticks; ++k) {
+    const double seconds = seconds_of([&] { arena.execute([&] { cars.tick(tick_seconds); }); },
+                                      method.threads == 1 ? thread_seconds : wall_seconds);
+    if (first.last.contacts == 0) continue;
+    out.seconds += seconds;
+    ++out.counted;
+  }
+  out.vertex = surface_of(model, first.body);
+  out.crush = crush_of(model, first.body);
+  out.bits = hash(first.body);
+  out.energy = cars.energy() / brought;
+  return out;
+}
+
 Play play(const Crash& crash, const Method& method, int iterations) {
+  if (crash.scene == head_on) return play_pair(crash, method, iterations);
   const Model& model = crash.car->model;
   const bool pushed = crash.scene == elastic_push, law = method.on_path || pushed;
   const Mass mass = mass_of(model, law);
@@ -336,7 +366,8 @@ void measure_side_by_side(const std::string& name, const Crash& crash, Table& ta
 
 void measure_crash(const std::string& name, const std::shared_ptr<const Car>& car, const std::string& scene, bool first,
                    const Options& options, Table& table) {
-  const bool large = car->model.node.size() > small_car, all = first && (scene == "wall" || !options.quick);
+  const bool large = car->model.node.size() > small_car;
+  const bool all = first && (scene == "wall" || !options.quick) && scene != head_on;
   if (large && options.quick && scene != "wall") return;
   Crash crash{car, scene, {}, {}};
   if (all) crash.structure = build_structure(car->model);
@@ -488,7 +519,7 @@ int main(int argc, char** argv) {
       for (const std::string& file : options.cars) {
         const auto car = load_car(file);
         const std::string name = std::filesystem::path(file).stem().string();
-        for (const char* scene : {"wall", "pole", elastic_push})
+        for (const char* scene : {"wall", "pole", elastic_push, head_on})
           measure_crash(name, car, scene, file == options.cars[0], options, table);
         measure_untouched(name, car->model, table);
         if (car->model.node.size() <= small_car) measure_push(name, car->model, table);

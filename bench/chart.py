@@ -175,7 +175,7 @@ def draw_iterations(rows, path):
     colours = [colour for colour, _ in METHODS.values()]
     cars = list(dict.fromkeys(row["car"] for row in pick(rows, method="nodal")))
     for car, colour in zip(cars, colours):
-        for scene, style in (("wall", "-"), ("pole", "--")):
+        for scene, style in (("wall", "-"), ("pole", "--"), ("head-on", ":")):
             line = points(counted(pick(rows, method="nodal", car=car, scene=scene)), "iterations")
             if line:
                 axes.plot(*zip(*line), style, marker="o", markersize=4, color=colour, label=f"{car}, {scene}")
@@ -286,7 +286,7 @@ def accuracy(rows):
     """Returns the tables of nodal at its default by car and scene, and of the time steps."""
     out = []
     for row in pick(rows, iterations=DEFAULT):
-        if row["scene"] in ("wall", "pole") and row["method"].startswith("nodal") and "path" not in row["method"]:
+        if row["scene"] in ("wall", "pole", "head-on") and row["method"].startswith("nodal") and "path" not in row["method"]:
             out.append([row["car"], f"{row['nodes']:,.0f}", row["scene"], row["method"],
                         *(number(None if math.isnan(row[key]) else row[key])
                           for key in ("error_percent", "max_percent", "ms_best", "ms_median", "crush_mm")),
@@ -499,6 +499,8 @@ def page(all_rows, folder, quick):
            "change with the mesh.\n")
     yield accuracy(rows)
     yield "![Error against sweeps](iterations.png)"
+    if pick(rows, scene="head-on"):
+        yield "`head-on` is a car that meets its like at 50 km/h each: the error of the first car, the time of both."
     outside = Outside(folder)
     if outside.ours:
         outside.draw(folder / "outside.png")

@@ -1,4 +1,4 @@
-// The host that follows a script. In each host tick it takes the reactions, moves the car, and publishes its pose. After a
+// Hosts that follow a script. In each host tick they take the reactions, move their cars, and publish the poses. After a
 // reaction with contact, pose and velocity become those that the server reached: while reactions come, the newest is less than
 // a tick old, so this is the pose at which the next tick begins. Without contact the host's own motion goes on, because a
 // reaction is one or two ticks old and does not know yet that the car brakes.
@@ -9,6 +9,7 @@
 #include <cmath>
 #include <crumple.hpp>
 #include <cstdio>
+#include <map>
 #include <stdexcept>
 #include <vector>
 
@@ -99,21 +100,42 @@ struct Result {
   double absorbed = 0;               // J
 };
 
+// A car that is driven.
+struct Car {
+  const schema::SceneCarT& scene;
+  std::string id;
+  Session& session;  // of its host
+  bool planar;
+  double mass = 0;                       // kg
+  Vector3d center = Vector3d::Zero();    // of mass, car's frame
+  CrumpleReaction last{};                // the newest
+  double energy = 0, energy_before = 0;  // J, absorbed since spawn, by the last reaction and by that before the hit
+  std::vector<Result> results = {};      // of the hits so far
+  // Of the present hit:
+  Moving moving = {};
+  Vector3d travel = Vector3d::Zero(), travel_in_car = Vector3d::Zero();
+  bool told = false, touched = false;  // whether a reaction came in this host tick, and one with contact
+};
+
 // All that a run needs.
 struct Run {
   const DriveOptions& options;
   const schema::SceneT& scene;
   const schema::PresetT& preset;  // empty: none
   const std::atomic<bool>& stop;
-  Session session;
-  double rate = 60, mass = 0;
+  std::map<std::string, Session> sessions = {};  // by host
+  std::vector<Car> cars = {};
+  double rate = 60;
   double tick_ms = 0, worst_ms = 0;  // of the server: the mean of its busiest second, and its longest tick
   uint64_t late = 0;
-  CrumpleReaction last{};   // the newest
-  uint64_t tick = 0;        // the server's newest that this host knows
+  uint64_t tick = 0;        // the server's newest that the hosts know
   double server_rate = 60;  // ticks a second, until health says otherwise
-  double energy = 0;        // J, absorbed since spawn, by the last reaction
   Clock::time_point start = Clock::now();
+
+  // Of the host that publishes the obstacles, and hears how the server fares.
+  Session& first() { return cars.front().session; }
+  // "left: " before what is said of this car, where there are several.
+  std::string named(const Car& car) const { return cars.size() > 1 ? car.id + ": " : ""; }
 };
 
 std::string hash_of_car(const std::string& car) {
@@ -160,33 +182,62 @@ CrumpleParameters parameters_of(const schema::ParametersT& from) {
   return to;
 }
 
-// Spawns the car and learns where its centre of mass is.
-Vector3d begin(Run& run) {
-  Session& session = run.session;
-  const std::string asset = hash_of_car(run.options.car.empty() ? run.scene.car : run.options.car);
-  const Moving first = at_start(*run.scene.hits.front(), Vector3d::Zero());
-  const std::string& id = run.options.id;
+// Spawns a car and learns where its centre of mass is. Returns who made its mesh, and how heavy it is, in words.
+std::string spawn(Run& run, Car& car) {
+  const schema::SceneT& scene = run.scene;
+  Session& session = car.session;
+  const std::string& own = car.scene.car.empty() ? scene.car : car.scene.car;
+  const std::string asset = hash_of_car(run.options.car.empty() ? own : run.options.car);
   CrumpleSpawn spawn{};
-  spawn.pose = pose_of(first);
-  spawn.mass = run.scene.mass;
-  spawn.planar = run.scene.planar;
+  spawn.pose = pose_of(at_start(*car.scene.hits.front(), Vector3d::Zero()));
+  spawn.mass = car.scene.mass > 0 ? car.scene.mass : scene.mass;
+  spawn.planar = car.planar;
 
   const CrumpleMesh mesh = session.mesh(asset);
-  run.mass = run.scene.mass > 0 ? run.scene.mass : mesh.mass;
+  car.mass = spawn.mass > 0 ? double(spawn.mass) : double(mesh.mass);
+  car.center = vector_of(mesh.center_of_mass);
+  const std::string name = run.named(car);
   try {
-    took(run, session.spawn(id, asset, spawn));
+    took(run, session.spawn(car.id, asset, spawn));
   } catch (const Error& refused) {  // an earlier run may have left its car
-    attempt("spawn the car: " + std::string(refused.what()), [&] { took(run, session.despawn(id)); });
-    attempt("spawn the car", [&] { took(run, session.spawn(id, asset, spawn)); });
+    attempt(name + "spawn the car: " + std::string(refused.what()), [&] { took(run, session.despawn(car.id)); });
+    attempt(name + "spawn the car", [&] { took(run, session.spawn(car.id, asset, spawn)); });
   }
-  for (const auto& parameters : run.scene.parameters)
-    attempt("take the scene's parameters", [&] { took(run, session.set_parameters(id, parameters_of(*parameters))); });
+  for (const auto* list : {&scene.parameters, &car.scene.parameters}) {
+    for (const auto& parameters : *list)
+      attempt(name + "take the scene's parameters",
+              [&] { took(run, session.set_parameters(car.id, parameters_of(*parameters))); });
+  }
   for (const auto& parameters : run.preset.parameters)
-    attempt("take the preset's parameters", [&] { took(run, session.set_parameters(id, parameters_of(*parameters))); });
-  session.follow(id);
-  say("%s\n  car %s, %.0f kg: %s\n", run.scene.about.c_str(), mesh.name, run.mass, mesh.attribution);
+    attempt(name + "take the preset's parameters",
+            [&] { took(run, session.set_parameters(car.id, parameters_of(*parameters))); });
+  session.follow(car.id);
+  char text[64];
+  std::snprintf(text, sizeof text, ", %.0f kg: ", car.mass);
+  return mesh.name + std::string(text) + mesh.attribution;
+}
+
+// Opens a session for each host and spawns the cars.
+void begin(Run& run) {
+  run.cars.reserve(run.scene.cars.size());
+  for (const auto& car : run.scene.cars) {
+    const std::string& host = car->host.empty() ? run.options.host : car->host;
+    const auto [session, fresh] = run.sessions.try_emplace(
+        host, SessionOptions{run.options.connect, run.options.scene, host, run.options.network, std::chrono::seconds(5)});
+    run.cars.push_back({*car,
+                        !car->id.empty()         ? car->id
+                        : run.options.id.empty() ? "car"
+                                                 : run.options.id,
+                        session->second, car->planar.value_or(run.scene.planar)});
+  }
+  say("%s\n", run.scene.about.c_str());
+  std::string before;  // cars that are alike are named once
+  for (Car& car : run.cars) {
+    const std::string words = spawn(run, car);
+    if (words != before) say("  car %s\n", words.c_str());
+    before = words;
+  }
   if (!run.preset.about.empty()) say("  %s\n", run.preset.about.c_str());
-  return vector_of(mesh.center_of_mass);
 }
 
 void publish_obstacles(Run& run) {
@@ -206,7 +257,7 @@ void publish_obstacles(Run& run) {
     to.friction = from->friction;
     list.push_back(to);
   }
-  run.session.publish(list);
+  run.first().publish(list);
 }
 
 bool moving_obstacles(const schema::SceneT& scene) {
@@ -215,19 +266,25 @@ bool moving_obstacles(const schema::SceneT& scene) {
   return false;
 }
 
-void publish_pose(Run& run, const Moving& car) {
-  CrumpleCarPose pose{};
-  pose.car = run.options.id.c_str();
-  pose.pose = pose_of(car);
-  copy(car.velocity, pose.velocity);
-  copy(car.turn, pose.angular_velocity);
-  pose.seen = car.seen;
-  run.session.publish(seconds_since(run.start), {&pose, 1});
+void publish_poses(Run& run) {
+  for (auto& [host, session] : run.sessions) {
+    std::vector<CrumpleCarPose> list;
+    for (const Car& car : run.cars) {
+      if (&car.session != &session) continue;
+      CrumpleCarPose& pose = list.emplace_back();
+      pose.car = car.id.c_str();
+      pose.pose = pose_of(car.moving);
+      copy(car.moving.velocity, pose.velocity);
+      copy(car.moving.turn, pose.angular_velocity);
+      pose.seen = car.moving.seen;
+    }
+    session.publish(seconds_since(run.start), list);
+  }
 }
 
 // The server sends health once a second.
 void take_health(Run& run) {
-  const auto health = run.session.health();
+  const auto health = run.first().health();
   if (!health) return;
   took(run, health->tick);
   run.server_rate = health->rate;
@@ -237,45 +294,61 @@ void take_health(Run& run) {
 }
 
 // Gives the largest displacement of a node of the skin against the direction of travel (car's frame), by the session's surface.
-double crush(Run& run, const Vector3d& travel) {
-  const auto surface = run.session.surface(run.options.id);
+double crush(Car& car) {
+  const auto surface = car.session.surface(car.id);
   if (!surface) return 0;
   double most = 0;
   for (uint32_t i = 0; i < surface->node_count; ++i) {
     const int16_t* d = surface->quanta + 3 * i;
-    most = std::max(most, -travel.dot(Vector3d(d[0], d[1], d[2])));
+    most = std::max(most, -car.travel_in_car.dot(Vector3d(d[0], d[1], d[2])));
   }
   return most * surface->quantum;
 }
 
-// Takes the reactions of this host tick. Returns whether the car now stands where the server put it.
-bool react(Run& run, const Vector3d& travel, Moving& car, Result& result) {
-  bool touched = false, any = false;
-  while (const auto next = run.session.next_reaction()) {
-    const CrumpleReaction& reaction = *next;
-    if (run.options.id != reaction.car || reaction.tick <= car.seen) continue;
-    const double tick = reaction.time / static_cast<double>(reaction.tick);
-    const Vector3d impulse = vector_of(reaction.impulse);
-    const bool contact = reaction.contacts > 0 || impulse.squaredNorm() > 0;
-    const double reached = vector_of(reaction.velocity).dot(travel);
-    if (contact && !car.hit && !touched) result.before = reached - impulse.dot(travel) / run.mass;
-    if (contact) result.after = reached;
-    result.peak = std::max(result.peak, -impulse.dot(travel) / (run.mass * tick));
-    run.energy = reaction.energy_absorbed;
-    took(run, reaction.tick);
-    car.told_seconds += tick * (car.hit || touched ? static_cast<double>(reaction.tick - car.seen) : 1);
-    car.seen = reaction.tick;
-    car.touching = contact;
-    run.last = reaction;
-    touched |= contact;
-    any = true;
+void take(Run& run, const CrumpleReaction& reaction, Car& car) {
+  Moving& moving = car.moving;
+  Result& result = car.results.back();
+  const double tick = reaction.time / static_cast<double>(reaction.tick);
+  const Vector3d impulse = vector_of(reaction.impulse);
+  const bool contact = reaction.contacts > 0 || impulse.squaredNorm() > 0;
+  const double reached = vector_of(reaction.velocity).dot(car.travel);
+  if (contact && !moving.hit && !car.touched) {
+    const Vector3d gained = car.planar ? Vector3d(impulse.x(), impulse.y(), 0) : impulse;  // the road takes the rest
+    result.before = reached - gained.dot(car.travel) / car.mass;
   }
-  car.silence = any ? 0 : car.silence + 1 / run.rate;
-  if (!any) return false;
+  if (contact) result.after = reached;
+  result.peak = std::max(result.peak, impulse.norm() / (car.mass * tick));
+  car.energy = reaction.energy_absorbed;
+  took(run, reaction.tick);
+  moving.told_seconds += tick * (moving.hit || car.touched ? static_cast<double>(reaction.tick - moving.seen) : 1);
+  moving.seen = reaction.tick;
+  moving.touching = contact;
+  car.last = reaction;
+  car.touched |= contact;
+  car.told = true;
+}
+
+// Takes the reactions of this host tick.
+void take_reactions(Run& run) {
+  for (Car& car : run.cars) car.told = car.touched = false;
+  for (auto& [host, session] : run.sessions) {
+    while (const auto next = session.next_reaction()) {
+      for (Car& car : run.cars) {
+        if (car.id == next->car && next->tick > car.moving.seen) take(run, *next, car);
+      }
+    }
+  }
+}
+
+// Returns whether the car now stands where the server put it.
+bool react(const Run& run, Car& car) {
+  Moving& moving = car.moving;
+  moving.silence = car.told ? 0 : moving.silence + 1 / run.rate;
+  if (!car.told) return false;
   // In the ticks that a reaction is late, braking explains less than 1 m/s; so a reaction with contact was lost.
-  if (!touched && (!car.hit || (vector_of(run.last.velocity) - car.velocity).norm() < 1)) return false;
-  car.hit = true;
-  adopt(run.last, car);
+  if (!car.touched && (!moving.hit || (vector_of(car.last.velocity) - moving.velocity).norm() < 1)) return false;
+  moving.hit = true;
+  adopt(car.last, moving);
   return true;
 }
 
@@ -299,22 +372,38 @@ void wait_until(Run& run, Clock::time_point next) {
   for (;;) {
     const auto left = std::chrono::duration_cast<std::chrono::microseconds>(next - Clock::now());
     if (left.count() <= 0) break;
-    run.session.poll(left);
+    run.first().poll(left);
   }
-  run.session.poll();
+  for (auto& [host, session] : run.sessions) session.poll();
 }
 
-Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep_publishing) {
-  if (hit.repair > 0) attempt("repair the car", [&] { took(run, run.session.repair(run.options.id, hit.repair)); });
+// Puts all cars where their hit begins.
+void place(Run& run, size_t hit) {
+  for (Car& car : run.cars) {
+    const schema::HitT& now = *car.scene.hits[hit];
+    if (now.repair > 0) attempt(run.named(car) + "repair the car", [&] { took(run, car.session.repair(car.id, now.repair)); });
+  }
   publish_obstacles(run);
-  Moving car = at_start(hit, center);
-  // At the start it knows every tick so far, so only reactions to this hit count.
-  while (const auto stale = run.session.next_reaction()) took(run, stale->tick);
-  car.seen = run.tick;
-  const Vector3d travel = vector_of(*hit.direction).normalized(), in_car = car.orientation.conjugate() * travel;
-  Result result;
-  result.before = result.after = car.velocity.dot(travel);
-  const double energy_before = run.energy, step = 1 / run.rate;
+  // At the start the hosts know every tick so far, so only reactions to this hit count.
+  for (auto& [host, session] : run.sessions) {
+    while (const auto stale = session.next_reaction()) took(run, stale->tick);
+  }
+  for (Car& car : run.cars) {
+    car.moving = at_start(*car.scene.hits[hit], car.center);
+    car.moving.seen = run.tick;
+    car.travel = vector_of(*car.scene.hits[hit]->direction).normalized();
+    car.travel_in_car = car.moving.orientation.conjugate() * car.travel;
+    Result& result = car.results.emplace_back();
+    result.before = result.after = car.moving.velocity.dot(car.travel);
+    car.energy_before = car.energy;
+  }
+}
+
+void play(Run& run, size_t hit, bool keep_publishing) {
+  place(run, hit);
+  double seconds = 0;
+  for (const Car& car : run.cars) seconds = std::max(seconds, double(car.scene.hits[hit]->seconds));
+  const double step = 1 / run.rate;
   const auto begun = Clock::now();
   const uint64_t tick_begun = run.tick;
   for (int64_t i = 0; !run.stop; ++i) {
@@ -322,31 +411,47 @@ Result play(Run& run, const schema::HitT& hit, const Vector3d& center, bool keep
     // A server that is late in a crash is behind the host's clock, so it gets the time that it needs. Health is up to 1 s old.
     take_health(run);
     const double server_seconds = static_cast<double>(run.tick - tick_begun) / run.server_rate;
-    if (time >= hit.seconds && (server_seconds > hit.seconds - 1.1 || time > hit.seconds + patience)) break;
+    if (time >= seconds && (server_seconds > seconds - 1.1 || time > seconds + patience)) break;
     wait_until(run, begun + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(time)));
-    const bool had_hit = car.hit, placed = react(run, travel, car, result);
-    slow_down(run.scene.planar, step, car);
-    if (!placed && i > 0) car.advance(step);
-    publish_pose(run, car);
+    take_reactions(run);
+    for (Car& car : run.cars) {
+      const bool had_hit = car.moving.hit, placed = react(run, car);
+      slow_down(car.planar, step, car.moving);
+      if (!placed && i > 0) car.moving.advance(step);
+      if (car.moving.hit && !had_hit)
+        say("  %.2f s  %scontact at %.1f km/h\n", time, run.named(car).c_str(), 3.6 * car.results.back().before);
+    }
+    publish_poses(run);
     if (keep_publishing && i % std::llround(run.rate) == 0) publish_obstacles(run);
-    result.dynamic = std::max(result.dynamic, crush(run, in_car));
-    if (car.hit && !had_hit) say("  %.2f s  contact at %.1f km/h\n", time, 3.6 * result.before);
+    for (Car& car : run.cars) car.results.back().dynamic = std::max(car.results.back().dynamic, crush(car));
   }
-  result.residual = crush(run, in_car);
-  result.absorbed = run.energy - energy_before;
-  say("  %.2f s  %s\n", seconds_since(begun), car.hit ? "over" : "over: nothing was hit");
-  return result;
+  bool any_hit = false;
+  for (Car& car : run.cars) {
+    car.results.back().residual = crush(car);
+    car.results.back().absorbed = car.energy - car.energy_before;
+    any_hit |= car.moving.hit;
+  }
+  say("  %.2f s  %s\n", seconds_since(begun), any_hit ? "over" : "over: nothing was hit");
 }
 
-void print_table(Run& run, const std::vector<Result>& results, double seconds) {
-  std::printf("\n  hit  speed before  after       peak   dynamic crush  residual crush  energy absorbed\n");
-  for (size_t i = 0; i < results.size(); ++i) {
-    const Result& r = results[i];
-    std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ\n", i + 1,
-                3.6 * r.before, 3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
+void print_table(Run& run, double seconds) {
+  int wide = 3;  // columns for the ids
+  for (const Car& car : run.cars) wide = std::max(wide, int(car.id.size()));
+  const bool several = run.cars.size() > 1;
+  const auto first_column = [&](const char* text) { return several ? std::printf("\n  %-*s", wide, text) : std::printf("\n"); };
+  first_column("car");
+  std::printf("  hit  speed before  after       peak   dynamic crush  residual crush  energy absorbed");
+  for (const Car& car : run.cars) {
+    for (size_t i = 0; i < car.results.size(); ++i) {
+      const Result& r = car.results[i];
+      first_column(car.id.c_str());
+      std::printf("  %3zu   %6.1f km/h  %5.1f km/h %5.1f g       %4.0f mm         %4.0f mm         %6.1f kJ", i + 1,
+                  3.6 * r.before, 3.6 * r.after, r.peak / gravity, 1e3 * r.dynamic, 1e3 * r.residual, 1e-3 * r.absorbed);
+    }
   }
-  const auto bytes = static_cast<double>(run.session.statistics().surface_bytes);
-  std::printf("\n  surface received: %.1f kB, %.0f bytes a second over %.1f s\n", 1e-3 * bytes, bytes / seconds, seconds);
+  double bytes = 0;
+  for (auto& [host, session] : run.sessions) bytes += static_cast<double>(session.statistics().surface_bytes);
+  std::printf("\n\n  surface received: %.1f kB, %.0f bytes a second over %.1f s\n", 1e-3 * bytes, bytes / seconds, seconds);
   std::printf("  server: %.2f ms a tick in its busiest second, worst %.1f ms, %llu ticks late\n", run.tick_ms, run.worst_ms,
               static_cast<unsigned long long>(run.late));
 }
@@ -356,19 +461,24 @@ void print_table(Run& run, const std::vector<Result>& results, double seconds) {
 int drive(const DriveOptions& options, const std::atomic<bool>& stop) {
   const schema::SceneT scene = read_scene(options.file);
   const schema::PresetT preset = options.preset.empty() ? schema::PresetT{} : read_preset(options.preset);
-  Run run{options, scene, preset, stop,
-          Session({options.connect, options.scene, options.host, options.network, std::chrono::seconds(5)})};
+  if (!options.id.empty() && !scene.cars.front()->id.empty())
+    throw std::runtime_error(options.file + ": the scene names its cars; leave --id out");
+  Run run{options, scene, preset, stop};
   run.rate = options.rate > 0 ? options.rate : scene.rate;
-  const Vector3d center = begin(run);
+  begin(run);
   const bool keep_publishing = !moving_obstacles(scene);
-  std::vector<Result> results;
+  const size_t hits = scene.cars.front()->hits.size();
   run.start = Clock::now();
-  for (size_t i = 0; i < scene.hits.size() && !stop; ++i) {
-    say("hit %zu of %zu: %.1f km/h\n", i + 1, scene.hits.size(), scene.hits[i]->speed_kmh);
-    results.push_back(play(run, *scene.hits[i], center, keep_publishing));
+  for (size_t i = 0; i < hits && !stop; ++i) {
+    float fastest = 0;
+    for (const auto& car : scene.cars) fastest = std::max(fastest, car->hits[i]->speed_kmh);
+    say("hit %zu of %zu: %.1f km/h\n", i + 1, hits, double(fastest));
+    play(run, i, keep_publishing);
   }
-  print_table(run, results, seconds_since(run.start));
-  if (!options.leave) attempt("despawn the car", [&] { run.session.despawn(options.id); });
+  print_table(run, seconds_since(run.start));
+  for (Car& car : run.cars) {
+    if (!options.leave) attempt(run.named(car) + "despawn the car", [&] { car.session.despawn(car.id); });
+  }
   return stop ? 1 : 0;
 }
 

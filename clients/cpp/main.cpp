@@ -23,18 +23,21 @@ void on_signal(int signal) {
 }
 
 CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
-  CLI::App& verb = *app.add_subcommand("drive", "A scripted host: drives a car into things and says what became of it");
+  CLI::App& verb =
+      *app.add_subcommand("drive", "Scripted hosts: drive cars into things and into each other, and say what became of them");
   verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
   verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network);
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
-  verb.add_option("--host", options.host, "id of this host")->check(id)->capture_default_str();
-  verb.add_option("--id", options.id, "id of the car that it spawns")->check(id)->capture_default_str();
+  verb.add_option("--host", options.host, "id of the host that drives the cars for which the scene file names none")
+      ->check(id)
+      ->capture_default_str();
+  verb.add_option("--id", options.id, "id of the car, where the scene file names none; default: car")->check(id);
   verb.add_option("--preset", options.preset, "file of parameters, laid over those of the scene; see clients/presets")
       ->type_name("FILE");
   verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
-  verb.add_flag("--leave", options.leave, "leaves the car in the scene at the end");
+  verb.add_flag("--leave", options.leave, "leaves the cars in the scene at the end");
   verb.footer("Example: crumple drive clients/scenes/pole.json --car m130.car");
   return verb;
 }

@@ -9,6 +9,7 @@
 namespace crumple::client {
 
 // They throw std::runtime_error with file, line and what is wrong there, or with the value that is out of its range.
+// A scene of one car comes as one of a list with one car, whose id is empty.
 schema::SceneT read_scene(const std::string& file);
 schema::PresetT read_preset(const std::string& file);
 

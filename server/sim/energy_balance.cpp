@@ -12,7 +12,7 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double least_share = 0.5, most_share = 2;  // of the mean impulse
-constexpr double most_correction = 0.5;              // of the largest impulse of a group's cars
+constexpr double most_correction = 0.2;              // of the largest impulse of a group's cars; the rest waits
 constexpr double slow_way = 0.3;                     // m/s: slower contacts lose way, so that what is pulled down comes to rest
 constexpr double calm_seconds = 0.02;                // in which they do
 

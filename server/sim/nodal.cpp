@@ -537,7 +537,9 @@ void begin_part(const NodalPart& part, float h) {
   aim(part);
 }
 
-// Chooses the stiffness of contacts between cars: as soft as their nodes are now, yield included.
+// Chooses the stiffness of contacts between cars: half as soft as their nodes are now, yield included, because each side counts
+// its own way double. At 4,639 nodes and 16 to 57 km/h restitution then differs from a wall's by up to 0.020, with the whole
+// stiffness by 0.022, with twice as much by 0.05, with 0.15 of it the energy by 6 % (crumple_pairs).
 void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::span<PairContact> contacts) {
   if (contacts.empty()) return;
   for (size_t k = 0; k < parts.size(); ++k) {
@@ -555,7 +557,7 @@ void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::s
     const auto &first = parts[contact.car[0]].solver.pair_stiffness, &second = parts[contact.car[1]].solver.pair_stiffness;
     float compliance = 1 / first[contact.node];
     for (int k = 0; k < 3; ++k) compliance += contact.weight[k] * contact.weight[k] / second[contact.corner[k]];
-    contact.stiffness = 1 / compliance;
+    contact.stiffness = 0.5f / compliance;
   }
 }
 
@@ -700,8 +702,8 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
     }
     if (done == 0) stiffen_pairs(parts, views, contacts);
     for (int k = 0; k < sweeps_a_step && done < iterations; ++k, ++done) sweep(parts, views, contacts);
-    press_pairs(parts, contacts);
     compare(steps);
+    if (parts.front().solver.last_step.compared) press_pairs(parts, contacts);  // else the step was undone
     if (std::all_of(parts.begin(), parts.end(), [&](NodalPart& part) { return is_solved(part, h); })) break;
     if (done < iterations) {
       mix(steps);

@@ -58,16 +58,20 @@ struct Share {
 // Cars that may touch one another need more: at 50 km/h head-on, 2,454 nodes each, 4 sweeps crush 3 % more than all sweeps and
 // do not part (restitution 0 instead of 0.21), 8 sweeps crush 0.2 % more and part (0.13), 12 part at 0.18; with half of the
 // sub-steps they crush 4 % more and do not part, with 8 sweeps or 12 (crumple_pairs --sweeps N --substeps N).
-bool meets_cars(const Instance& car) { return !car.body.pairs.near.empty(); }
+// In a crowd they do not: with 2 sub-steps of 4 sweeps ten cars of 1,048 nodes that run into a wall take a quarter of the time
+// (--scene ten), crush 11 % less, do not part, and book 2 % more energy than they bring.
+constexpr size_t crowd = 16;  // an island of more cars is one
+bool meets_cars(const Instance& car, const Island& island) { return !car.body.pairs.near.empty() && island.size() <= crowd; }
 
-int fewest_sweeps(const Instance& car, int substeps) {
-  if (meets_cars(car)) return fewest_of_halved;
+int fewest_sweeps(const Instance& car, const Island& island, int substeps) {
+  if (island.size() > crowd) return fewest;
+  if (meets_cars(car, island)) return fewest_of_halved;
   const bool longer = substeps < int(car.parameters.substeps) && car.car->model.node.size() >= few_nodes;
   return longer ? fewest_of_halved : fewest;
 }
 
-bool may_halve(const Instance& car, int substeps, double seconds) {
-  if (meets_cars(car)) return false;
+bool may_halve(const Instance& car, const Island& island, int substeps, double seconds) {
+  if (meets_cars(car, island)) return false;
   if (substeps % 2 != 0 || substep_count(substeps / 2, seconds) == substep_count(substeps, seconds)) return false;
   Parameters halved = car.parameters;
   halved.substeps = uint16_t(substeps / 2);
@@ -76,13 +80,14 @@ bool may_halve(const Instance& car, int substeps, double seconds) {
 
 int fewest_sweeps(const Share& share, int substeps) {
   int most = 0;
-  for (const Share::Part& part : share.part) most = std::max(most, fewest_sweeps(*part.car, substeps));
+  for (const Share::Part& part : share.part) most = std::max(most, fewest_sweeps(*part.car, *share.island, substeps));
   return most;
 }
 
 bool may_halve(const Share& share) {
-  return std::all_of(share.part.begin(), share.part.end(),
-                     [&](const Share::Part& part) { return may_halve(*part.car, share.plan.substeps, share.seconds); });
+  return std::all_of(share.part.begin(), share.part.end(), [&](const Share::Part& part) {
+    return may_halve(*part.car, *share.island, share.plan.substeps, share.seconds);
+  });
 }
 
 int most_sweeps(const Share& share) {

@@ -154,7 +154,7 @@ TEST(ReferencePairs, OneSubstepGivesTheSameNodesAndForces) {
       for (const PairContact& contact : answer.contact) {
         for (const PairMemory::Touch& touch : many.cars[contact.car[0]].body.pairs.touch) {
           if (touch.node != contact.node) continue;
-          EXPECT_NEAR(touch.pressure, contact.pressed, 0.015f * largest) << "node " << touch.node;
+          EXPECT_NEAR(touch.pressure, contact.pressed, 0.02f * largest) << "node " << touch.node;
           theirs += double(touch.pressure);
         }
         sum += double(contact.pressed);
@@ -171,7 +171,7 @@ TEST(ReferencePairs, DentsOfACrashComeToTheReferenceAsTheSweepsGrow) {
     double usual, many;  // largest difference at the default settings and with few sweeps, and with 1000 sweeps
   };
   // After some 20 sub-steps without friction corners slip past edges.
-  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.01, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
+  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.015, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
     const int substeps = sanitized ? 8 : whole;                    // the reference is slow there
     const double few = sanitized ? std::max(usual, 0.05) : usual;  // an error of the first sub-steps fades only later
     SCOPED_TRACE(testing::Message() << "friction " << friction << ", " << substeps << " sub-steps");

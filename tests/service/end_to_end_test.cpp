@@ -363,28 +363,29 @@ TEST_F(EndToEnd, DriveAndWatchDoWhatTheySay) {
   EXPECT_LT(crush(stiff), crush(drive)) << stiff.text << drive.text;
 }
 
-// Two hosts drive two cars at each other. Both are told of each other, a third program sees both dents, and the recording
-// verifies.
+// A scene of two hosts, which drive two cars at each other. Both are told of each other, a third program sees both dents, and
+// the recording verifies.
 TEST_F(EndToEnd, TwoHostsCrashTheirCarsIntoEachOther) {
   start_server(path("head_on.mcap"));
   Crumple* viewer = open();
   ASSERT_NE(viewer, nullptr);
   ASSERT_EQ(crumple_follow(viewer, nullptr, 0), CRUMPLE_OK);
   Crumple* hosts[2] = {open("left"), open("right")};  // hear what the two programs are told
-  const auto drive = [&](const std::string& id, const std::string& start) {
-    const std::string scene = path((id + ".json").c_str());
-    std::ofstream(scene) << R"({"about": "One of two.", "obstacles": [], "hits": [)" << start << "]}";
-    const std::string car = car_file.string();
-    return std::vector<std::string>{"drive", scene, "--car", car, "--host", id, "--id", id, "--leave", "--connect", endpoint};
-  };
-  Process left(drive("left", R"({"position": {"x": -9, "y": 0, "z": 0}, "direction": {"x": 1, "y": 0, "z": 0},
-                                 "speed_kmh": 36, "seconds": 2})"));
-  const Outcome right = run(drive("right", R"({"position": {"x": 9, "y": 0, "z": 0}, "yaw_deg": 180,
-                                               "direction": {"x": -1, "y": 0, "z": 0}, "speed_kmh": 36, "seconds": 2})"));
-  EXPECT_EQ(left.wait(), 0) << left.text;
-  EXPECT_EQ(right.code, 0) << right.text;
-  for (const std::string& text : {left.text, right.text})
-    EXPECT_NE(text.find("contact at 36.0 km/h"), std::string::npos) << text;
+  std::ofstream(path("two.json")) << R"({"about": "Two cars of two hosts.", "obstacles": [], "cars": [
+    {"id": "left", "host": "left", "hits": [{"position": {"x": -9, "y": 0, "z": 0}, "direction": {"x": 1, "y": 0, "z": 0},
+     "speed_kmh": 36, "seconds": 2}]},
+    {"id": "right", "host": "right", "mass": 1300, "hits": [{"position": {"x": 9, "y": 0, "z": 0}, "yaw_deg": 180,
+     "direction": {"x": -1, "y": 0, "z": 0}, "speed_kmh": 36, "seconds": 2}]}]})";
+  const std::vector<std::string> drive = {"drive", path("two.json"), "--car", car_file.string(), "--connect", endpoint};
+  std::vector<std::string> with_id = drive;
+  with_id.insert(with_id.end(), {"--id", "other"});
+  EXPECT_NE(run(with_id).text.find("the scene names its cars"), std::string::npos);
+  std::vector<std::string> leave = drive;
+  leave.push_back("--leave");
+  const Outcome driven = run(leave);
+  EXPECT_EQ(driven.code, 0) << driven.text;
+  for (const char* part : {"left: contact at 36.0 km/h", "right: contact at 36.0 km/h", "1300 kg", "\n  left ", "\n  right "})
+    EXPECT_NE(driven.text.find(part), std::string::npos) << part << "\n" << driven.text;
 
   std::map<uint64_t, float> given[2];  // by tick, N s along x
   const auto hear = [&](int k) {

@@ -122,6 +122,31 @@ TEST(Islands, TheHostsOfTwoCarsThatMeetAreBothTold) {
   EXPECT_GT(meeting->car("right").motion.velocity.x(), 0);
 }
 
+// What can be pushed is a car: a bin of 60 kg, a hundred times as stiff as a car's body. Its own host is told how it is pushed.
+TEST(Islands, ABinIsACarAndItsHostIsTold) {
+  const auto bin = box_car({3, 2, 2}, 60, 1.2f);
+  Meeting meeting;
+  add_asset(*meeting.world, bin);
+  tick(*meeting.world,
+       {{"car/bin", host::spawn(bin->hash, "street", pose_at(3.2, 0.2))},
+        {"car/bin", host::parameters([](auto& p) { p.add_young_modulus(100 * Material{}.young_modulus); })}},
+       meeting.outbox, 1);
+  meeting.drivers.push_back({"bin", "street", {"bin", pose_at(3.2, 0.2)}});
+  meeting.drivers.back().pose.seen = tick_count(*meeting.world);
+  meeting.add("car", "one", 0, 8);
+  for (int k = 0; k < 60; ++k) {
+    meeting.step();
+    ASSERT_FALSE(meeting.car("bin").result.recovered);
+  }
+  const Eigen::Vector3d &of_car = meeting.drivers[1].impulse, &of_bin = meeting.drivers[0].impulse;
+  EXPECT_LT((of_car + of_bin).norm(), 1e-9 * of_bin.norm());
+  EXPECT_GT(of_bin.x(), 60 * 7.0) << "it flies off at no less than the car's speed";
+  EXPECT_GE(meeting.car("bin").motion.velocity.x(), meeting.car("car").motion.velocity.x());
+  EXPECT_NEAR(meeting.car("car").motion.velocity.x(), 8 - of_bin.x() / 1200, 1e-6);
+  EXPECT_LT(dent(meeting.car("bin")), 0.01f) << "it is stiff";
+  EXPECT_GT(dent(meeting.car("car")), dent(meeting.car("bin")));
+}
+
 // The partners of a car in the last tick, as its host was told.
 std::vector<const schema::Partner*> partners_told(const Meeting& meeting, const std::string& id, const std::string& host) {
   std::vector<const schema::Partner*> out;
@@ -582,6 +607,28 @@ TEST(Islands, OfTenCarsKeepsTheBudgetByOnePlanForAll) {
   const auto [most, shed] = run(budget);
   EXPECT_LE(most, budget);
   EXPECT_GT(shed, 0u);
+}
+
+// A crowd that presses would make a tick seconds long, so there the budget may take more than where few cars meet.
+TEST(Islands, InACrowdTheBudgetLeavesFewerSweepsThanWhereFewCarsMeet) {
+  const auto sweeps = [](int cars) {
+    Meeting meeting;
+    for (int k = 0; k < cars; ++k) meeting.add(std::to_string(k), "h" + std::to_string(k), 4.51 * k, float(0.5 * cars - k));
+    meeting.step({budget_message(1)});
+    std::map<uint32_t, int> count;  // cars by sweeps a sub-step
+    for (int k = 0; k < 20; ++k) {
+      meeting.step();
+      if (k < 3) continue;
+      for (const auto& [id, car] : meeting.world->cars) {
+        if (car.result.substeps > 0 && !car.body.pairs.near.empty()) ++count[car.result.sweeps / car.result.substeps];
+      }
+    }
+    return count;
+  };
+  const auto few = sweeps(6), crowd = sweeps(24);
+  ASSERT_FALSE(few.empty() || crowd.empty());
+  EXPECT_EQ(few.rbegin()->first, 8u);
+  EXPECT_EQ(crowd.rbegin()->first, 4u);
 }
 
 }  // namespace

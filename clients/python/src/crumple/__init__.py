@@ -4,7 +4,7 @@ program."""
 from crumple._convert import columns
 from crumple._library import Error, Refused
 from crumple.recording import Frame, Life, Recording
-from crumple.scene import Hit, Scene
+from crumple.scene import Hit, Scene, SceneCar
 from crumple.session import Session, View
 from crumple.types import (
     CarPose, Health, Mesh, Obstacle, OwnMesh, Parameters, Part, PartKind, Partner, Pose, Reaction, Shape, Solver, Statistics, Surface,
@@ -13,6 +13,6 @@ from crumple.types import (
 
 __all__ = [
     "CarPose", "Error", "Frame", "Health", "Hit", "Life", "Mesh", "Obstacle", "OwnMesh", "Parameters", "Part", "PartKind",
-    "Partner", "Pose", "Reaction", "Recording", "Refused", "Scene", "Session", "Shape", "Solver", "Statistics", "Surface",
+    "Partner", "Pose", "Reaction", "Recording", "Refused", "Scene", "SceneCar", "Session", "Shape", "Solver", "Statistics", "Surface",
     "Vertices", "View", "columns",
 ]

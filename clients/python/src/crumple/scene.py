@@ -14,7 +14,7 @@ from crumple.types import ZERO, Obstacle, Parameters, Pose, Shape, Solver, Vecto
 
 @dataclass(frozen=True)
 class Hit:
-    """One run-up of the car. It begins at `position` and goes at this speed along `direction` (of length 1) until it hits
+    """One run-up of a car. It begins at `position` and goes at this speed along `direction` (of length 1) until it hits
     something."""
 
     position: Vector
@@ -28,24 +28,39 @@ class Hit:
 
 
 @dataclass(frozen=True)
+class SceneCar:
+    """One of several cars of a scene. What it leaves out, it has from the scene."""
+
+    id: str
+    hits: tuple[Hit, ...]
+    host: str = ""
+    car: str = ""  # path or hash of the baked car
+    mass: float = 0.0  # kg
+    planar: bool | None = None
+    parameters: tuple[Parameters, ...] = ()
+
+
+@dataclass(frozen=True)
 class Scene:
+    """What `crumple drive` plays: one car, whose hits are `hits`, or several `cars`."""
+
     about: str
     obstacles: tuple[Obstacle, ...]
-    hits: tuple[Hit, ...]
+    hits: tuple[Hit, ...] = ()
     car: str = ""  # path or hash of the baked car
     mass: float = 0.0  # kg; 0: the baked car's
     planar: bool = True
     rate: float = 60.0  # poses a second
     parameters: tuple[Parameters, ...] = ()
+    cars: tuple[SceneCar, ...] = ()
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scene:
         given = json.loads(pathlib.Path(path).read_text())
         try:
             obstacles = tuple(_obstacle(each) for each in given.pop("obstacles"))
-            hits = tuple(Hit(**_vectors(each)) for each in given.pop("hits"))
-            parameters = tuple(_parameters(each) for each in given.pop("parameters", []))
-            return cls(obstacles=obstacles, hits=hits, parameters=parameters, **given)
+            cars = tuple(SceneCar(**_of_car(each)) for each in given.pop("cars", []))
+            return cls(obstacles=obstacles, cars=cars, **_of_car(given))
         except (KeyError, TypeError) as error:
             raise ValueError(f"{os.fspath(path)}: {error} (the form of a scene: schema/scene.fbs)") from error
 
@@ -58,6 +73,12 @@ def _vectors(given: dict[str, Any]) -> dict[str, Any]:
         return tuple(float(of.get(axis, 0.0)) for axis in "xyzw" if axis in of or axis != "w") if isinstance(of, dict) else of
 
     return {name: value(each) for name, each in given.items()}
+
+
+def _of_car(given: dict[str, Any]) -> dict[str, Any]:
+    hits = tuple(Hit(**_vectors(each)) for each in given.get("hits", []))
+    parameters = tuple(_parameters(each) for each in given.get("parameters", []))
+    return {**given, "hits": hits, "parameters": parameters}
 
 
 def _obstacle(given: dict[str, Any]) -> Obstacle:
