@@ -130,20 +130,20 @@ def write(path: pathlib.Path, name: str, film: Film) -> None:
     weights = np.zeros((len(film.keys), len(film.shapes)), np.float32)
     for row, (_, _, shape) in zip(weights, film.keys):
         row[shape - 1 : shape] = 1  # none for shape 0
-    outputs = [(body, "translation", np.array([key[1].position for key in film.keys])), (body, "rotation", np.array([key[1].orientation for key in film.keys]))]
-    outputs += [(node, "weights", weights.ravel()) for node in of_node] if film.shapes else []
     animation: dict[str, Any] = {"samplers": [], "channels": []}
-    of_array: dict[int, int] = {}
-    for target, channel, values in outputs:
-        if channel != "weights" or not of_array:
-            of_array = {0: out.accessor(values)} if channel == "weights" else {}
-            animation["samplers"].append({"input": times, "output": of_array.get(0) if of_array else out.accessor(values)})
-        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": {"node": target, "path": channel}})
+
+    def animate(nodes: list[int], path: str, values: Array) -> None:
+        animation["samplers"].append({"input": times, "output": out.accessor(values)})
+        animation["channels"] += [{"sampler": len(animation["samplers"]) - 1, "target": {"node": each, "path": path}} for each in nodes]
+
+    animate([body], "translation", np.array([key[1].position for key in film.keys]))
+    animate([body], "rotation", np.array([key[1].orientation for key in film.keys]))
+    if film.shapes:
+        animate(list(of_node), "weights", weights.ravel())
     out.json["animations"] = [animation]
-    for name_of in ("skins", "cameras"):
-        out.json.pop(name_of, None)
+    out.json.pop("skins", None)
     for node in out.json["nodes"]:
-        node.pop("skin", None), node.pop("camera", None)
+        node.pop("skin", None)
     out.json["asset"]["copyright"] = film.attribution
     out.save(path)
 

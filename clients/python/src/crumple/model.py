@@ -171,7 +171,7 @@ class Model:
         count = len(position)
         triangle = self.array(primitive["indices"])[:, 0].astype(np.int64) if "indices" in primitive else np.arange(count)
         triangle = triangle[: len(triangle) // 3 * 3].reshape(-1, 3)
-        if len(triangle) and triangle.max() >= count:
+        if len(triangle) and not 0 <= triangle.min() <= triangle.max() < count:
             raise ValueError("a triangle names a vertex that does not exist")
 
         def directions(name: str, turn: Array) -> Array | None:

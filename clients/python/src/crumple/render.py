@@ -140,7 +140,7 @@ def hit(rows: Array) -> list[str]:
     return list(dict.fromkeys(rows["car"].tolist()))
 
 
-def read_film(recording: Recording, clip: Clip, step: float, model: Model | None) -> Film:
+def read_film(recording: Recording, clip: Clip, step: float, model: Model | None = None) -> Film:
     """model: draws the cars that were baked from it."""
     film, cars, bound = Film(clip, []), bytes_of_cars(recording), dict[str, Bound | None]()
     poses = {car: (sorted(known), known) for car, known in recording.poses(clip.start - 5, clip.end).items()}
