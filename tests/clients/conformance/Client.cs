@@ -47,8 +47,8 @@ static class Client {
                              Count = own.Length / Numbers };
     if (!session.TryMap(asset, ref mesh, out mapping)) throw new Exception("no mapping");
     pinned.Free();
-    Console.WriteLine("{{\"outcome\": \"mapped\", \"vertices\": {0}, \"on_vertices\": {1}, \"farthest\": {2:r}}}", own.Length / Numbers,
-                      mesh.OnVertices, mesh.Farthest);
+    Console.WriteLine("{{\"outcome\": \"mapped\", \"vertices\": {0}, \"on_vertices\": {1}, \"farthest\": {2}}}", own.Length / Numbers,
+                      mesh.OnVertices, mesh.Farthest.ToString("r"));
   }
 
   static string Row(double[] numbers) { return "[" + string.Join(", ", numbers.Select(each => each.ToString("r"))) + "]"; }

@@ -27,19 +27,19 @@ static uint64_t held_tick(Crumple* session) {
 
 static char bytes[1 << 20];
 
-static size_t read_all(const char* path, char* bytes, size_t most) {
+static size_t read_all(const char* path) {
   FILE* file = fopen(path, "rb");
   if (!file) {
     perror(path);
     exit(1);
   }
-  const size_t size = fread(bytes, 1, most, file);
+  const size_t size = fread(bytes, 1, sizeof bytes, file);
   fclose(file);
   return size;
 }
 
 static const char* take(Crumple* session, const char* path) {
-  const size_t size = read_all(path, bytes, sizeof bytes);
+  const size_t size = read_all(path);
   CrumpleStatistics before, now;
   crumple_statistics(session, &before);
   const uint64_t tick = held_tick(session);
@@ -61,10 +61,9 @@ static uint32_t own_count, mapping;
 static char asset[17];
 
 static void map_own(Crumple* session, const char* path) {
-  static char bytes[4 + sizeof own];
-  const size_t size = read_all(path, bytes, sizeof bytes);
+  const size_t size = read_all(path);
   memcpy(&own_count, bytes, 4);
-  must(size == 4 + own_count * sizeof own[0]);
+  must(own_count <= sizeof own / sizeof own[0] && size == 4 + own_count * sizeof own[0]);
   memcpy(own, bytes + 4, size - 4);
   CrumpleOwnMesh mesh = {own[0], own[0] + 3, own[0] + 6, sizeof own[0], own_count, NULL, 0, 0};
   must(crumple_map(session, asset, &mesh, &mapping) == CRUMPLE_OK);
@@ -102,7 +101,7 @@ int main(void) {
       continue;
     }
     if (ends_in(line, ".car")) {
-      must(crumple_add_asset(session, bytes, read_all(line, bytes, sizeof bytes), asset) == CRUMPLE_OK);
+      must(crumple_add_asset(session, bytes, read_all(line), asset) == CRUMPLE_OK);
       puts("{\"outcome\": \"held\"}");
       continue;
     }

@@ -5,7 +5,7 @@ import { resolve } from "node:path";
 import { createInterface } from "node:readline";
 import { pathToFileURL } from "node:url";
 
-const { crosses, digits, displacementOf, hashOf, mapVertices, motionOf, moved, readCar, skin, Surface, turn } = await import(pathToFileURL(resolve(process.argv[2], "dist/index.js")));
+const { crosses, digits, displacementOf, hashOf, mapVertices, motionOf, moved, readCar, skin, Surface, turn, turned, wheelMotions } = await import(pathToFileURL(resolve(process.argv[2], "dist/index.js")));
 
 // A mesh of the game's own in the coordinates of the source, which the car turns and scales only, and in the car's frame.
 function bind(car, bytes) {
@@ -20,14 +20,15 @@ function bind(car, bytes) {
   const said = { outcome: "mapped", vertices: rows.length, on_vertices: mapping.onVertices, farthest: Math.max(...mapping.distance) };
   const print = (surface) => {
     skin(car, surface, now);
-    const cross = crosses(car, now);
+    const cross = crosses(car, now), motions = wheelMotions(car, surface);
     const own = rows.map((row, i) => {
       const by = [0, 0, 0], direction = [0, 0, 0];
       displacementOf(mapping, i, car, now, by, 0);
       const away = from(by, 1 / scale ** 2), out = row.slice(0, 3).map((x, k) => x + away[k]);
+      const wheel = motions[car.vertexPart[mapping.corner[3 * i]]];
       for (const of of [normal, tangent]) {
-        turn(mapping, i, cross, of.subarray(3 * i, 3 * i + 3), direction, 0);
-        out.push(...from(direction, 1 / scale));
+        turn(mapping, i, cross, of, direction, 0);
+        out.push(...from(wheel ? turned(wheel.turn, [...of.subarray(3 * i, 3 * i + 3)]) : direction, 1 / scale));
       }
       return out;
     });

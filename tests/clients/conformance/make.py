@@ -291,11 +291,11 @@ still, bent, rolled = (Held(tick, [int(x) for x in np.rint(moved / 0.0005).ravel
 
 def and_own(held):
     moved = np.array(held.quanta).reshape(-1, 3) * held.quantum
-    return {**dict(held), "own": mine.now(car.now(moved)), "poses": [[float(x) for x in pose] for pose in car.poses(moved)]}
+    return {**dict(held), "own": mine.now(moved), "poses": [[float(x) for x in pose] for pose in car.poses(moved)]}
 
 
 cases["vertices of the game and parts follow the dents"] = [
-    ("box.car", "held", None), ("box.own", "mapped", {"vertices": len(mine.rows), "on_vertices": mine.on_vertices, "farthest": mine.farthest}),
+    ("box.car", "held", None), ("box.own", "mapped", {"vertices": len(mine.rows), "on_vertices": int(mine.on_vertices), "farthest": mine.farthest}),
     (made("key3_box.keyframe", keyframe(still)), "applied", and_own(still)),
     (made("delta4_box.delta", delta(bent, still)), "applied", and_own(bent)),
     (made("key9_box.keyframe", keyframe(rolled)), "applied", and_own(rolled))]

@@ -43,15 +43,15 @@ def to_file(position):
 def bake(folder):
     """A body, a cabin of glass on it, and four wheels. Their triangles meet at edges, so normals of the game differ from ours."""
     meshes = [("body", *box((-2, -0.8, 0.2), (2, 0.8, 0.8))), ("glass", *box((-1, -0.7, 0.8), (0.6, 0.7, 1.3)))]
-    meshes += [(f"wheel {i}", *cylinder(np.array([x, y, 0.3]), 0.3, 0.2)) for i, (x, y) in enumerate(((1.3, 0.95), (1.3, -0.95), (-1.3, 0.95), (-1.3, -0.95)))]
+    meshes += [(f"wheel{i}", *cylinder(np.array([x, y, 0.3]), 0.3, 0.2)) for i, (x, y) in enumerate(((1.3, 0.95), (1.3, -0.95), (-1.3, 0.95), (-1.3, -0.95)))]
     lines, first = [], 1
     for name, vertex, face in meshes:
         lines += [f"o {name}"] + ["v {:.6f} {:.6f} {:.6f}".format(*v) for v in to_file(vertex)]
         lines += ["f {} {} {}".format(*(first + i for i in t)) for t in face]
         first += len(vertex)
     (folder / "box.obj").write_text("\n".join(lines) + "\n")
-    parts = [{"name": "glass", "kind": "glass", "source": ["glass*"]}]
-    parts += [{"name": f"wheel {i}", "kind": "wheel", "source": [f"wheel?{i}*"]} for i in range(4)]
+    parts = [{"name": "glass", "kind": "glass", "source": ["glass"]}]
+    parts += [{"name": f"wheel {i}", "kind": "wheel", "source": [f"wheel{i}"]} for i in range(4)]
     parts += [{"name": "camera", "kind": "point", "position": {"x": 0.1, "y": 0.2, "z": 1.25}, "orientation": {"x": 0, "y": 0, "z": 0.6, "w": 0.8}}]
     (folder / "parts.json").write_text(json.dumps({"parts": parts}))
     subprocess.run([ROOT / "build/crumple", "bake", folder / "box.obj", "-o", folder / "box.car", "--mesher", "lattice", "--nodes", "100",
@@ -176,24 +176,29 @@ class Own:
             sides = [(t, unit(crosses[t]) @ normal) for t in around]
             turning = [(t, np.sign(side)) for t, side in sides if abs(side) > SAME_SIDE] or [(t, 1) for t in around]
             assert all(abs(abs(side) - SAME_SIDE) > 1e-3 for _, side in sides)
-            self.bound.append((corners, weight, turning))
+            part = int(car.part_of[corners[0]])
+            self.bound.append((corners, weight, turning, part if car.part[part][0] == WHEEL else None))
             self.on_vertices, self.farthest = self.on_vertices + on, max(self.farthest, float(far))
 
     def crosses(self, vertex):
         a, b, c = (vertex[self.car.triangle[:, k]] for k in range(3))
         return np.cross(b - a, c - a)
 
-    def now(self, vertex):
-        """9 numbers each: position, normal, tangent."""
+    def now(self, moved):
+        """9 numbers each: position, normal, tangent. moved: of the nodes that the skin uses."""
+        vertex = self.car.now(moved)
         rest, crosses = self.crosses(self.car.vertex), self.crosses(vertex)
         out = []
-        for row, (corners, weight, turning) in zip(self.rows, self.bound):
-            moved = weight @ (vertex - self.car.vertex)[corners]
+        for row, (corners, weight, turning, wheel) in zip(self.rows, self.bound):
+            away = weight @ (vertex - self.car.vertex)[corners]
             facing = unit(sum(sign * rest[t] for t, sign in turning))
             now = unit(sum(sign * crosses[t] for t, sign in turning))
             axis, cosine = np.cross(facing, now), facing @ now
             rotate = lambda v: cosine * v + np.cross(axis, v) + axis * (axis @ v) / (1 + cosine)
-            out.append([*(row[:3] + np.linalg.solve(self.linear, moved)), *(unit(self.turn.T @ rotate(self.turn @ row[k : k + 3])) for k in (3, 6))])
+            if wheel is not None:
+                rigid = self.car.motion(wheel, moved)[0]
+                rotate = lambda v: rigid @ v
+            out.append([*(row[:3] + np.linalg.solve(self.linear, away)), *(unit(self.turn.T @ rotate(self.turn @ row[k : k + 3])) for k in (3, 6))])
         return [[float(x) for x in np.hstack(row)] for row in out]
 
 
