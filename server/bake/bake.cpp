@@ -52,10 +52,7 @@ bool is_built_in(const std::string& input) { return input == built_in || input.s
 
 ImportedSurface read_surface(const BakeOptions& options) {
   if (!is_built_in(options.input)) return import_surface(options.input, options.import);
-  const Surface body = build_car_body(built_in_vertices(options.input));
-  std::vector<Eigen::Vector3d> positions;
-  for (const Vec3& vertex : body.vertex) positions.push_back(vertex.cast<double>());
-  return place_surface(positions, {}, body.triangle, {}, options.input);
+  return build_car(built_in_vertices(options.input));
 }
 
 std::string default_name(const std::string& input) {
@@ -107,6 +104,7 @@ struct Made {
   const SkinResult& skin;
   std::span<const double> source_to_car;
   const std::vector<Part>& part;
+  const std::vector<Look>& look;
 };
 
 flatbuffers::Offset<flatbuffers::Vector<flatbuffers::Offset<schema::Part>>> stored(flatbuffers::FlatBufferBuilder& builder,
@@ -118,6 +116,16 @@ flatbuffers::Offset<flatbuffers::Vector<flatbuffers::Offset<schema::Part>>> stor
     const schema::Quat orientation(q[0], q[1], q[2], q[3]);
     out.push_back(schema::CreatePart(builder, builder.CreateString(part.name), part.kind, &position, &orientation, part.radius,
                                      part.width));
+  }
+  return builder.CreateVector(out);
+}
+
+flatbuffers::Offset<flatbuffers::Vector<flatbuffers::Offset<schema::Look>>> stored(flatbuffers::FlatBufferBuilder& builder,
+                                                                                   const std::vector<Look>& looks) {
+  std::vector<flatbuffers::Offset<schema::Look>> out;
+  for (const auto& [name, color, metallic, roughness] : looks) {
+    const schema::Color stored_color(color[0], color[1], color[2], color[3]);
+    out.push_back(schema::CreateLook(builder, builder.CreateString(name), &stored_color, metallic, roughness));
   }
   return builder.CreateVector(out);
 }
@@ -147,11 +155,14 @@ std::vector<std::byte> serialise(const Made& made, const BakeOptions& options) {
   flatbuffers::Offset<flatbuffers::Vector<flatbuffers::Offset<schema::Part>>> part;
   flatbuffers::Offset<flatbuffers::Vector<uint8_t>> vertex_part;
   if (!made.part.empty()) part = stored(builder, made.part), vertex_part = builder.CreateVector(made.surface.part);
+  flatbuffers::Offset<flatbuffers::Vector<flatbuffers::Offset<schema::Look>>> look;
+  flatbuffers::Offset<flatbuffers::Vector<uint8_t>> triangle_look;
+  if (!made.look.empty()) look = stored(builder, made.look), triangle_look = builder.CreateVector(made.surface.look);
   const schema::Vec3 center = stored(made.masses.center), inertia = stored(made.masses.inertia);
-  schema::FinishCarBuffer(
-      builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored, tet, gradients,
-                                 tet_rest, tet_region, edge, edge_rest, node_first, corner, vertex, triangle, skin, region,
-                                 static_cast<float>(options.mass), &center, &inertia, source_to_car, part, vertex_part));
+  schema::FinishCarBuffer(builder, schema::CreateCar(builder, 1, name, attribution, node, node_mass, node_region, node_anchored,
+                                                     tet, gradients, tet_rest, tet_region, edge, edge_rest, node_first, corner,
+                                                     vertex, triangle, skin, region, static_cast<float>(options.mass), &center,
+                                                     &inertia, source_to_car, part, vertex_part, look, triangle_look));
   const auto* bytes = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
   return {bytes, bytes + builder.GetSize()};
 }
@@ -203,6 +214,24 @@ SkinResult skin_with_wheels(const TetMesh& tets, const Surface& surface, const s
   return all;
 }
 
+// Gives each triangle the look of its named part. A car has at most max_looks, each once; those beyond are left out.
+std::vector<Look> collect_looks(const ImportedSurface& input, std::vector<uint8_t>& of_triangle) {
+  std::vector<Look> out;
+  of_triangle.assign(input.surface.triangle.size(), no_look);
+  for (size_t i = 0; i < input.named.size(); ++i) {
+    const auto& look = input.named[i].look;
+    const size_t first = input.named[i].first;
+    const size_t end = i + 1 < input.named.size() ? input.named[i + 1].first : of_triangle.size();
+    if (!look || first == end) continue;
+    const size_t at = static_cast<size_t>(std::find(out.begin(), out.end(), *look) - out.begin());
+    if (at == max_looks) continue;
+    if (at == out.size()) out.push_back(*look);
+    std::fill(of_triangle.begin() + std::ptrdiff_t(first), of_triangle.begin() + std::ptrdiff_t(end), static_cast<uint8_t>(at));
+  }
+  if (out.empty()) of_triangle.clear();
+  return out;
+}
+
 // Refuses tets of another car, tets in other axes, and surfaces that enclose next to nothing. A few far vertices may be an
 // aerial.
 void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions& options) {
@@ -221,7 +250,7 @@ void check_fit(const Surface& surface, const SkinResult& skin, const BakeOptions
 }  // namespace
 
 BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given, std::span<const double> source_to_car,
-                        const std::vector<Part>& part) {
+                        const std::vector<Part>& part, const std::vector<Look>& look) {
   BakeOptions options = given;
   if (options.mass == 0) options.mass = default_mass;
   BakeResult out;
@@ -232,7 +261,7 @@ BakeResult assemble_car(Surface surface, TetMesh tets, const BakeOptions& given,
   const Regions regions = paint_regions(tets, surface, options.regions, options.input, out.report);
   const SkinResult skin = skin_with_wheels(tets, surface, part);
   check_fit(surface, skin, options);
-  const Made made{surface, tets, constraints, masses, regions, skin, source_to_car, part};
+  const Made made{surface, tets, constraints, masses, regions, skin, source_to_car, part, look};
   report_result(made, out.report);
   out.car = read_car(serialise(made, options), options.input);
   out.distance = skin.distance;
@@ -258,7 +287,9 @@ BakeResult bake(const BakeOptions& options, const Progress& progress) {
   const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> to_car = input.from_file.affine();
   Surface surface = input.surface;
   if (!division.part.empty()) split_at_parts(surface, division.of_triangle);
-  BakeResult out = assemble_car(std::move(surface), std::move(tets), options, {to_car.data(), 12}, division.part);
+  const std::vector<Look> look = collect_looks(input, surface.look);
+  if (!look.empty()) report.push_back(std::to_string(look.size()) + " looks kept, of materials with a colour and no texture");
+  BakeResult out = assemble_car(std::move(surface), std::move(tets), options, {to_car.data(), 12}, division.part, look);
   out.parts = text.text;
   out.report.insert(out.report.begin(), report.begin(), report.end());
   const Model& model = out.car->model;  // its triangles are in the order of the surface
@@ -279,15 +310,15 @@ bool is_baked_car(const std::filesystem::path& file) {
 BakeResult rebake(const Car& car, BakeOptions options) {
   check_options(options);
   const Model& model = car.model;
-  const auto& part = car.parts.of_vertex;
-  Surface surface{{model.vertex.begin(), model.vertex.end()}, {}, {}, {part.begin(), part.end()}};
+  const auto &part = car.parts.of_vertex, &look = car.looks.of_triangle;
+  Surface surface{{model.vertex.begin(), model.vertex.end()}, {}, {}, {part.begin(), part.end()}, {look.begin(), look.end()}};
   for (size_t i = 0; i < model.triangle.size(); i += 3)
     surface.triangle.push_back({model.triangle[i], model.triangle[i + 1], model.triangle[i + 2]});
   if (options.mass == 0) options.mass = double(model.mass);
   if (options.name.empty()) options.name = car.name;
   if (options.attribution.empty()) options.attribution = car.attribution;
   return assemble_car(std::move(surface), {{model.node.begin(), model.node.end()}, {model.tet.begin(), model.tet.end()}},
-                      options, car.source_to_car, car.parts.part);
+                      options, car.source_to_car, car.parts.part, car.looks.look);
 }
 
 void write_car(const Car& car, const std::filesystem::path& file) {

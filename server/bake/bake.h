@@ -43,9 +43,10 @@ struct BakeResult {
 // Throws std::runtime_error with one sentence: file, fact, remedy.
 BakeResult bake(const BakeOptions&, const Progress&);
 
-// The steps after the tets. source_to_car: as in Car. part: what Surface.part names. Tests and benchmarks call it.
+// The steps after the tets. source_to_car: as in Car. part, look: what Surface.part and
+// Surface.look name. Tests and benchmarks call it.
 BakeResult assemble_car(Surface, TetMesh, const BakeOptions&, std::span<const double> source_to_car = {},
-                        const std::vector<Part>& part = {});
+                        const std::vector<Part>& part = {}, const std::vector<Look>& look = {});
 
 bool is_baked_car(const std::filesystem::path& file);
 // Paints a baked car anew: surface, tets and skin stay; regions, anchors and everything that depends on them become what a bake

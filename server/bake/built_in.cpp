@@ -1,10 +1,12 @@
 // A parametric saloon car: cross-sections along x, each drawn through a few profile curves (roof line, shoulder line, sill,
 // half widths), with wheel arches cut into the sides. Only the left half is built, then mirrored. The surface is closed, has no
 // handles (so any vertex count is possible) and is exactly symmetric. The longest edges are split until the count is reached.
+// Glass, lights and trim are triangles of it. Wheels and seats are pieces of their own, which get no tets.
 
 #include "bake/built_in.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -158,9 +160,13 @@ Vec3 shaped(double x, const Point& p) {
   return Eigen::Vector3d(moved, p.y, p.z).cast<float>();
 }
 
+// Paint is what the program that shows the car chooses.
+enum Finish : uint8_t { paint, trim, glass, headlight, taillight, tyre, rim, seat, finish_count };
+
 struct Half {
   std::vector<Vec3> vertex;
   std::vector<Triangle> triangle;
+  std::vector<Finish> finish;  // of each triangle
   size_t mirrored_count() const {
     size_t count = 0;
     for (const Vec3& v : vertex) count += v.y() == 0 ? 1 : 2;
@@ -170,8 +176,33 @@ struct Half {
 
 float length(const Half& half, uint32_t a, uint32_t b) { return (half.vertex[a] - half.vertex[b]).squaredNorm(); }
 
+// The finish of what lies between sections i and i + 1 of the profile, around this point of the half.
+Finish finish_at(const Resolution& n, int i, const Vec3& point) {
+  const int side = n.floor + n.wall + n.ceiling, pane = side + n.side, roof = pane + n.glass;
+  const float x = point.x(), y = point.y(), z = point.z();
+  if (i < side) return trim;
+  if (i < pane) {
+    const bool low = i == side && std::abs(x)<0.98f, band = std::abs(x)> 2 && z > 0.26f && z < 0.38f;  // sill; bumper
+    return low || band ? trim : x > 1.95f && z > 0.47f ? headlight : x < -2.05f && z > 0.56f ? taillight : paint;
+  }
+  if (i < roof) {
+    const bool framed = i == pane || (n.glass > 2 && i == roof - 1), pillar = std::abs(x + 0.2f) < 0.075f;
+    return !framed && !pillar && x > -1.3f && x < 0.62f ? glass : paint;
+  }
+  const bool wind = x > 0.31f && x<0.9f, rear = x> - 1.55f && x < -1.05f;
+  return (wind || rear) && (i > roof || n.roof < 3) && y < 0.62f ? glass : paint;
+}
+
+Finish finish_at_end(const Vec3& point) {
+  const float x = point.x(), y = point.y(), z = point.z();
+  if (z > 0.26f && z < 0.38f) return trim;
+  if (x > 0) return y > 0.34f && z > 0.4f ? headlight : y < 0.34f && z > 0.4f && z < 0.52f ? trim : paint;
+  return y > 0.36f && z > 0.5f ? taillight : paint;
+}
+
 // Corners in order. Cuts the quad along the shorter diagonal.
-void add_quad(Half& half, uint32_t a, uint32_t b, uint32_t c, uint32_t d) {
+void add_quad(Half& half, Finish finish, uint32_t a, uint32_t b, uint32_t c, uint32_t d) {
+  half.finish.insert(half.finish.end(), 2, finish);
   if (length(half, a, c) <= length(half, b, d)) {
     half.triangle.insert(half.triangle.end(), {{a, b, c}, {a, c, d}});
   } else {
@@ -193,10 +224,12 @@ void add_cap(Half& half, double x, const std::vector<Point>& section, uint32_t f
       half.vertex.push_back(vertex);
     }
     for (uint32_t i = 0; i + 1 < count; ++i) {
+      const auto& at = half.vertex;
+      const Finish finish = finish_at_end((at[outer + i] + at[outer + i + 1] + at[inner + i] + at[inner + i + 1]) / 4);
       if (x > 0)
-        add_quad(half, outer + i, outer + i + 1, inner + i + 1, inner + i);
+        add_quad(half, finish, outer + i, outer + i + 1, inner + i + 1, inner + i);
       else
-        add_quad(half, outer + i + 1, outer + i, inner + i, inner + i + 1);
+        add_quad(half, finish, outer + i + 1, outer + i, inner + i, inner + i + 1);
     }
     outer = inner;
   }
@@ -206,6 +239,7 @@ void add_cap(Half& half, double x, const std::vector<Point>& section, uint32_t f
   vertex.x() += static_cast<float>(std::copysign(bulged, x));
   half.vertex.push_back(vertex);
   for (uint32_t i = 0; i + 1 < count; ++i) {
+    half.finish.push_back(finish_at_end((half.vertex[outer + i] + half.vertex[outer + i + 1] + vertex) / 3));
     if (x > 0)
       half.triangle.push_back({outer + i, outer + i + 1, center});
     else
@@ -227,7 +261,8 @@ Half build_half(double scale) {
   for (uint32_t k = 0; k + 1 < xs.size(); ++k)
     for (uint32_t i = 0; i + 1 < count; ++i) {
       const uint32_t a = k * count + i, b = a + count;
-      add_quad(half, a, a + 1, b + 1, b);
+      const Vec3 middle = (half.vertex[a] + half.vertex[a + 1] + half.vertex[b] + half.vertex[b + 1]) / 4;
+      add_quad(half, finish_at(n, static_cast<int>(i), middle), a, a + 1, b + 1, b);
     }
   add_cap(half, -nose, half_section(-nose, n), 0, rings);
   add_cap(half, nose, half_section(nose, n), static_cast<uint32_t>(xs.size() - 1) * count, rings);
@@ -254,6 +289,7 @@ void split_longest(Half& half, bool on_symmetry_line) {
       if (std::min(a, b) != from || std::max(a, b) != to) continue;
       half.triangle[i] = {a, middle, t[(k + 2) % 3]};
       half.triangle.push_back({middle, b, t[(k + 2) % 3]});
+      half.finish.push_back(Finish(half.finish[i]));
       break;
     }
   }
@@ -273,9 +309,99 @@ Surface mirror(const Half& half) {
   return out;
 }
 
-}  // namespace
+// ---- wheels and seats
+// --------------------------------------------------------------------------------------------------------
 
-Surface build_car_body(size_t vertices) {
+constexpr int wheel_segments = 24;
+constexpr double wheel_radius = 0.3, wheel_side = 0.75;  // m; |y| of the hub, whose height is that of the arch's centre
+
+// A closed body of revolution about y: the tyre, and a rim with six spokes, the same on both sides.
+void add_wheel(Half& car, const Vec3& hub) {
+  struct Ring {
+    float y, radius;
+  };
+  constexpr std::array<Ring, 10> profile = {{{0.06f, 0.05f},
+                                             {0.075f, 0.06f},
+                                             {0.085f, 0.17f},
+                                             {0.1f, 0.19f},
+                                             {0.105f, 0.285f},
+                                             {-0.105f, 0.285f},
+                                             {-0.1f, 0.19f},
+                                             {-0.085f, 0.17f},
+                                             {-0.075f, 0.06f},
+                                             {-0.06f, 0.05f}}};
+  const auto first = static_cast<uint32_t>(car.vertex.size());
+  const auto last = static_cast<uint32_t>(profile.size()) - 1;
+  for (const Ring& ring : profile)
+    for (int k = 0; k < wheel_segments; ++k) {
+      const double turn = 2 * std::numbers::pi * (k + 0.5) / wheel_segments;
+      const double radius = ring.radius == 0.285f ? wheel_radius : double(ring.radius);
+      car.vertex.push_back(hub +
+                           Eigen::Vector3d(radius * std::cos(turn), double(ring.y), radius * std::sin(turn)).cast<float>());
+    }
+  const auto at = [&](uint32_t ring, int k) {
+    return first + ring * wheel_segments + static_cast<uint32_t>(k % wheel_segments);
+  };
+  for (uint32_t ring = 0; ring < last; ++ring)
+    for (int k = 0; k < wheel_segments; ++k) {
+      const bool spokes = ring == 1 || ring == last - 2, face = ring < 3 || ring > last - 4;
+      const Finish finish = !face || (spokes && k % 4 > 1) ? tyre : rim;
+      add_quad(car, finish, at(ring, k), at(ring, k + 1), at(ring + 1, k + 1), at(ring + 1, k));
+    }
+  for (const uint32_t ring : {0u, last}) {
+    const auto center = static_cast<uint32_t>(car.vertex.size());
+    car.vertex.push_back(hub + Vec3(0, profile[ring].y, 0));
+    for (int k = 0; k < wheel_segments; ++k) {
+      const uint32_t a = at(ring, k), b = at(ring, k + 1);
+      car.triangle.push_back(ring == 0 ? Triangle{center, b, a} : Triangle{center, a, b});
+      car.finish.push_back(rim);
+    }
+  }
+}
+
+// A box whose top lies `lean` behind its bottom, m.
+void add_box(Half& car, const Vec3& low, const Vec3& high, float lean) {
+  const auto first = static_cast<uint32_t>(car.vertex.size());
+  for (int k = 0; k < 8; ++k)
+    car.vertex.push_back({(k & 1 ? high : low).x() - (k & 4 ? lean : 0), (k & 2 ? high : low).y(), (k & 4 ? high : low).z()});
+  constexpr uint32_t faces[6][4] = {{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4}, {2, 6, 7, 3}, {0, 4, 6, 2}, {1, 3, 7, 5}};
+  for (const auto& [a, b, c, d] : faces) add_quad(car, seat, first + a, first + b, first + c, first + d);
+}
+
+void add_interior(Half& car) {
+  for (const float side : {-0.36f, 0.36f}) {
+    add_box(car, {-0.45f, side - 0.24f, 0.3f}, {0.1f, side + 0.24f, 0.5f}, 0);
+    add_box(car, {-0.55f, side - 0.22f, 0.48f}, {-0.42f, side + 0.22f, 1.05f}, 0.12f);
+    add_box(car, {-0.64f, side - 0.12f, 1.06f}, {-0.56f, side + 0.12f, 1.2f}, 0.03f);
+  }
+  add_box(car, {-1.2f, -0.6f, 0.3f}, {-0.75f, 0.6f, 0.52f}, 0);
+  add_box(car, {-1.3f, -0.58f, 0.5f}, {-1.17f, 0.58f, 1}, 0.1f);
+  add_box(car, {0.5f, -0.62f, 0.55f}, {0.72f, 0.62f, 0.82f}, -0.08f);  // the dashboard
+}
+
+// ---- the car
+// -----------------------------------------------------------------------------------------------------------------
+
+struct Appearance {
+  const char* name;  // of the node; the bake takes the kinds of parts from it
+  std::optional<Look> look;
+};
+
+const std::array<Appearance, finish_count>& appearances() {
+  static const std::array<Appearance, finish_count> all = {{
+      {"body", {}},
+      {"trim", Look{"trim", {0.014f, 0.014f, 0.016f, 1}, 0, 0.6f}},
+      {"glass", {}},
+      {"headlight", Look{"headlight", {0.82f, 0.82f, 0.76f, 1}, 0.1f, 0.12f}},
+      {"taillight", Look{"taillight", {0.33f, 0.008f, 0.008f, 1}, 0.1f, 0.2f}},
+      {"tyre", Look{"tyre", {0.012f, 0.012f, 0.013f, 1}, 0, 0.85f}},
+      {"rim", Look{"rim", {0.5f, 0.5f, 0.52f, 1}, 0.7f, 0.35f}},
+      {"seats", Look{"seats", {0.035f, 0.032f, 0.03f, 1}, 0, 0.9f}},
+  }};
+  return all;
+}
+
+Half build_body(size_t vertices) {
   double scale = 1.1 * std::sqrt(static_cast<double>(vertices) / 1259);
   Half half = build_half(scale);
   while (half.mirrored_count() > vertices) half = build_half(scale *= 0.99);
@@ -284,7 +410,38 @@ Surface build_car_body(size_t vertices) {
     split_longest(half, one_left);
     count += one_left ? 1 : 2;
   }
-  return mirror(half);
+  return half;
+}
+
+}  // namespace
+
+Surface build_car_body(size_t vertices) { return mirror(build_body(vertices)); }
+
+ImportedSurface build_car(size_t vertices) {
+  Half whole = build_body(vertices);
+  const Surface body = mirror(whole);
+  whole.vertex = body.vertex, whole.triangle = body.triangle;
+  const std::vector<Finish> left = whole.finish;
+  whole.finish.insert(whole.finish.end(), left.begin(), left.end());
+  for (double axle : axles)
+    for (double side : {wheel_side, -wheel_side}) add_wheel(whole, Eigen::Vector3d(axle, side, arch_center).cast<float>());
+  add_interior(whole);
+  std::vector<Eigen::Vector3d> positions;
+  for (const Vec3& vertex : whole.vertex) positions.push_back(vertex.cast<double>());
+  std::vector<Triangle> triangles;
+  std::vector<size_t> first;  // of each finish
+  for (int finish = 0; finish < finish_count; ++finish) {
+    first.push_back(triangles.size());
+    for (size_t t = 0; t < whole.triangle.size(); ++t)
+      if (whole.finish[t] == finish) triangles.push_back(whole.triangle[t]);
+  }
+  ImportedSurface out = place_surface(positions, {}, triangles, {}, "built-in");
+  for (size_t finish = 0; finish < finish_count; ++finish) {
+    const auto& [name, look] = appearances()[finish];
+    const auto at = std::lower_bound(out.kept.begin(), out.kept.end(), first[finish]) - out.kept.begin();
+    out.named.push_back({.name = name, .first = static_cast<size_t>(at), .names = {name}, .look = look});
+  }
+  return out;
 }
 
 }  // namespace crumple

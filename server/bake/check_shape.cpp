@@ -5,8 +5,10 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <regex>
 #include <utility>
 
+#include "bake/names.h"
 #include "bake/text_of.h"
 
 namespace crumple {
@@ -18,6 +20,7 @@ constexpr double most_width = 3.5, most_height = 5;  // m: a bus has 2.6 and 4.4
 constexpr size_t samples = 40'000;                   // a few in each cell of a car's surface
 constexpr int cells = 80;                            // along the longest side: 6 cm of a car
 constexpr double symmetric = 0.85;                   // cars have over 0.9; a car's front and rear agree in 0.5 to 0.8
+constexpr double sure = 0.15;                        // share of half the length by which names must lie at one end
 constexpr double broad = 0.7;  // the bottom's extent over the top's; that of a car upside down is about a half
 
 // Points spread evenly over the area, the same ones each time.
@@ -177,6 +180,39 @@ std::vector<std::string> check_shape(const Surface& surface, const ImportOptions
   }
   if (!fact.empty()) report.push_back("warning: this may be no car as it stands: " + fact + "; " + remedy);
   return report;
+}
+
+std::string check_front(const ImportedSurface& input, const ImportOptions& options) {
+  static const std::regex front("front|head(lights?|lamps?)|headl|hood|bonnet|grilles?|grills?|radiator"),
+      rear("rear|tail|(tail|brake|stop)(lights?|lamps?)|taill|trunk|boot|tailgate|exhausts?|muffler|spoiler");
+  const auto& triangle = input.surface.triangle;
+  const auto x_of = [&](uint32_t vertex) { return double(input.surface.vertex[vertex].x()); };  // centred
+  double half = 0, sum = 0, most = 0;
+  for (uint32_t v = 0; v < input.surface.vertex.size(); ++v) half = std::max(half, std::abs(x_of(v)));
+  size_t told = 0;
+  std::string word;  // a name that tells most
+  for (size_t i = 0; i < input.named.size(); ++i) {
+    const size_t end = i + 1 < input.named.size() ? input.named[i + 1].first : triangle.size();
+    const auto& names = input.named[i].names;
+    const auto says = [&](const std::regex& words) {
+      return std::find_if(names.begin(), names.end(), [&](const std::string& name) { return has_word(words_of(name), words); });
+    };
+    const auto ahead = says(front), behind = says(rear);
+    if ((ahead == names.end()) == (behind == names.end()) || input.named[i].first == end) continue;
+    double middle = 0;
+    for (size_t t = input.named[i].first; t < end; ++t)
+      for (uint32_t v : triangle[t]) middle += x_of(v) / (3 * double(end - input.named[i].first) * half);
+    const double agrees = ahead != names.end() ? middle : -middle;
+    sum += agrees;
+    ++told;
+    if (std::abs(agrees) > most) most = std::abs(agrees), word = ahead != names.end() ? *ahead : *behind;
+  }
+  const double mean = sum / std::max<double>(1, double(told));
+  const std::string other = name_of(-axis_of(options.forward));
+  if (mean > sure) return "front: '" + word + "' and its like lie where they should";
+  if (mean < -sure)
+    return "warning: the front seems to be at the other end, because of '" + word + "'; perhaps --forward " + other;
+  return "front: no name tells which end it is; look at --pictures, and give --forward " + other + " if it is the other end";
 }
 
 }  // namespace crumple

@@ -39,7 +39,8 @@ constexpr float opaque = 0.99f;
 // The triangles from `first` up to the next part's. The names are the file's, end at a zero, and may hold any bytes.
 struct PartRead {
   uint32_t first = 0;
-  uint8_t transparent = 0, blended = 0;
+  uint8_t transparent = 0, blended = 0, plain = 0;  // plain: it has a colour, and no texture
+  float color[4] = {}, metallic = 0, roughness = 1;
   char name[longest_name] = {};
   char names[longest_names] = {};  // a line each
 };
@@ -121,6 +122,24 @@ void read_material(const aiMaterial& material, PartRead& part) {
   aiString mode;
   material.Get(AI_MATKEY_GLTF_ALPHAMODE, mode);
   part.blended = std::strcmp(mode.C_Str(), "BLEND") == 0;
+  // Only glTF has base colours. Others have a diffuse colour as pictures have it, and Assimp's own material says nothing.
+  aiColor4D color;
+  const bool physical = material.Get(AI_MATKEY_BASE_COLOR, color) == AI_SUCCESS;
+  if (!physical && material.Get(AI_MATKEY_COLOR_DIFFUSE, color) != AI_SUCCESS) return;
+  if (std::strcmp(material.GetName().C_Str(), AI_DEFAULT_MATERIAL_NAME) == 0) return;
+  part.plain = material.GetTextureCount(aiTextureType_DIFFUSE) == 0 && material.GetTextureCount(aiTextureType_BASE_COLOR) == 0;
+  const float channel[] = {color.r, color.g, color.b, physical ? color.a : opacity};
+  for (int k = 0; k < 4; ++k) {
+    const float value = std::isfinite(channel[k]) ? std::clamp(channel[k], 0.0f, 1.0f) : 1;
+    part.color[k] = k == 3 || physical ? value : std::pow(value, 2.2f);
+  }
+  const auto share = [&](auto... key) {
+    float value = 0;
+    return material.Get(key..., value) == AI_SUCCESS && std::isfinite(value) ? std::clamp(value, 0.0f, 1.0f) : -1;
+  };
+  part.metallic = std::max(share(AI_MATKEY_METALLIC_FACTOR), 0.0f);
+  const float roughness = share(AI_MATKEY_ROUGHNESS_FACTOR);
+  part.roughness = roughness < 0 ? 0.5f : roughness;
 }
 
 // A node may hold several meshes, which differ by their materials.
@@ -386,6 +405,10 @@ std::vector<NamedPart> named_parts(const std::vector<PartRead>& read, const std:
       if (!line.empty()) named.names.push_back(printable(line));
     named.transparent = part.transparent;
     named.blended = part.blended;
+    if (part.plain && !named.names.empty()) {
+      named.look = {named.names[0].substr(0, part_name_limit), {}, part.metallic, part.roughness};
+      std::copy(std::begin(part.color), std::end(part.color), named.look->color.begin());
+    }
     out.push_back(std::move(named));
   }
   std::stable_sort(out.begin(), out.end(), [](const NamedPart& a, const NamedPart& b) { return a.first < b.first; });
@@ -460,6 +483,7 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
                                             " read; the file's " + chosen.forward + " is forward, its " + chosen.up + " is up");
   const std::vector<std::string> shape = check_shape(out.surface, chosen);
   out.report.insert(out.report.end(), shape.begin(), shape.end());
+  out.report.push_back(check_front(out, chosen));
   if (flat.not_triangles)
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
   return out;

@@ -5,10 +5,12 @@
 
 #include <Eigen/Geometry>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "car/mesh.h"
+#include "protocol/parts.h"
 
 namespace crumple {
 
@@ -27,6 +29,7 @@ struct NamedPart {
   std::vector<std::string> names = {};  // of its material, mesh and node, and of the nodes above; at most 512 bytes in all
   bool transparent = false;             // its material lets light through
   bool blended = false;                 // its material may, if its texture does
+  std::optional<Look> look{};           // of its material; none: it has none, or one with a texture of colours
 };
 
 struct ImportedSurface {

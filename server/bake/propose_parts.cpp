@@ -1,7 +1,6 @@
-// Names are split into words: "wheelFront_L.001" is wheel, front, l. A word decides the kind. Wheels must also be round and
+// A word in a name decides the kind. Wheels must also be round and
 // stand on the ground, which keeps steering wheels and spare wheels out.
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <map>
 #include <numbers>
@@ -9,6 +8,7 @@
 #include <set>
 #include <stdexcept>
 
+#include "bake/names.h"
 #include "bake/parts.h"
 #include "bake/parts_text.h"
 #include "bake/text_of.h"
@@ -28,36 +28,22 @@ constexpr double like_its_twin = 0.2;  // share of its radius by which a wheel m
 // Some files blend all materials that have a texture. Glass lies above this share of the car's height, but for headlamps.
 constexpr double lowest_pane = 0.25;
 constexpr int most_reasons = 4;
-
-// ---- words ---------------------------------------------------------------------------------------------------------------
-
-std::vector<std::string> words_of(const std::string& name) {
-  std::vector<std::string> out(1);
-  for (size_t i = 0; i < name.size(); ++i) {
-    const auto c = static_cast<unsigned char>(name[i]);
-    const bool begins = std::isupper(c) && i > 0 && std::islower(static_cast<unsigned char>(name[i - 1]));
-    if (!std::isalpha(c) || begins) out.emplace_back();
-    if (std::isalpha(c)) out.back().push_back(static_cast<char>(std::tolower(c)));
-  }
-  std::erase(out, std::string());
-  return out;
-}
-
-bool has_word(const std::vector<std::string>& words, const std::regex& wanted) {
-  return std::any_of(words.begin(), words.end(), [&](const std::string& word) { return std::regex_match(word, wanted); });
-}
+constexpr size_t most_panels = 64;
 
 // The kind that a name says, or body.
 PartKind kind_of(const std::string& name) {
   static const std::regex interior("interior|seats?|steering(wheel)?|dash(board)?|upholstery"),
       light("(head|tail|fog|brake|turn|side|rear|front|back|stop|signal|reverse)?(lights?|lamps?)|lens(es)?|headl|taill"),
       glass("glass(es)?|windows?|windshield|windscreen"), wheel("(front|rear|back)?(wheels?|tyres?|tires?|rims?)[fr]?[lr]?"),
-      not_wheel("arch(es)?|wells?|house|cover|base|guards?|nuts?|spare");
+      not_wheel("arch(es)?|wells?|house|cover|base|guards?|nuts?|spare"),
+      panel("(front|rear|left|right)?(doors?|hoods?|bonnets?|trunk(lid)?s?|bootlids?|tailgates?|fenders?|bumpers?)"),
+      not_panel("handles?|knobs?|locks?|frames?|steps?|hinges?|mirrors?|plates?");
   const std::vector<std::string> words = words_of(name);
   if (has_word(words, interior)) return PartKind::interior;
   if (has_word(words, light)) return PartKind::light;
   if (has_word(words, glass)) return PartKind::glass;
   if (has_word(words, wheel) && !has_word(words, not_wheel)) return PartKind::wheel;
+  if (has_word(words, panel) && !has_word(words, not_panel)) return PartKind::panel;
   return PartKind::body;
 }
 
@@ -280,6 +266,12 @@ PartsText propose_parts(const ImportedSurface& input, std::vector<std::string>& 
     for (const std::string& each : names) entry->source.push_back(pattern_of(each));
     entries.parts.push_back(std::move(entry));
   };
+  // Each panel is a part, because it may come off by itself. What they hold, such as glass, is entered after them.
+  std::vector<std::string>& panels = said[PartKind::panel];
+  panels.resize(std::min(panels.size(), most_panels));
+  for (const std::string& name : panels)
+    if (is_part_name(name)) enter(name.c_str(), PartKind::panel, {name});
+  if (!panels.empty()) report.push_back("parts: panels by name: " + listed(panels));
   std::vector<std::string> glass = said[PartKind::glass];
   glass.insert(glass.end(), clear.begin(), clear.end());
   std::string why;

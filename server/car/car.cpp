@@ -247,6 +247,7 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   };
   check(car->model, car->regions.size(), name);
   if (const char* why = read_parts(file, car->parts)) refuse(name, why);
+  if (const char* why = read_looks(file, car->looks)) refuse(name, why);
   car->blocks = make_blocks(car->model);
   car->boundary = make_boundary(car->model);
   car->skin_node = skin_nodes(car->model);

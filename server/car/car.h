@@ -31,6 +31,7 @@ struct Car {
   std::string attribution;
   std::vector<std::string> regions;
   Parts parts;
+  Looks looks;
   std::span<const double> source_to_car;  // 12: rows of a 3 x 4 matrix (schema/car.fbs); or empty
   std::string hash;                       // 16 hexadecimal digits: XXH64 of the bytes
   std::span<const std::byte> bytes;       // the whole file

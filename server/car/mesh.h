@@ -19,6 +19,7 @@ struct Surface {
   std::vector<Triangle> triangle;
   std::vector<uint32_t> color;  // 0xrrggbb per vertex; empty: not painted
   std::vector<uint8_t> part{};  // per vertex; empty: all is body
+  std::vector<uint8_t> look{};  // per triangle, or no_look; empty: none
 };
 
 // Positively oriented: (b-a) x (c-a) . (d-a) > 0.

@@ -365,7 +365,7 @@ Verb add_recover(CLI::App& app, RecoverOptions& options) {
   return [&options] { return recover(options); };
 }
 
-Verb add_export(CLI::App& app, ExportOptions& options) {
+Verb add_export(CLI::App& app, ExportOptions& options, std::string& model) {
   CLI::App& verb =
       *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
   verb.add_option("FILE", options.file, "recording")->required()->check(is_file);
@@ -376,8 +376,15 @@ Verb add_export(CLI::App& app, ExportOptions& options) {
   verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
       ->check(CLI::Range(0.1, 1000.0))
       ->capture_default_str();
+  verb.add_option("--mesh", model,
+                  "the glTF file from which the cars were baked: CAR.glb then has its vertices, materials and textures")
+      ->check(is_file)
+      ->type_name("MODEL.glb");
   verb.footer("Example: crumple export today.mcap -o today");
-  return [&options] { return export_recording(options); };
+  return [&options, &model] {
+    const int status = export_recording(options);
+    return status == 0 && !model.empty() ? export_model(options, model) : status;
+  };
 }
 
 Verb add_render(CLI::App& app) {
@@ -400,6 +407,7 @@ int run(int argc, const char* const* argv) {
   FitCommandOptions fit_options;
   RecoverOptions recover_options;
   ExportOptions export_options;
+  std::string export_mesh;
 
   CLI::App app{"Dents in car bodies, computed on one server and shared over the network.", "crumple"};
   app.require_subcommand(1);
@@ -423,7 +431,7 @@ int run(int argc, const char* const* argv) {
       add_map(app, map_options),
       add_fit(app, fit_options),
       add_recover(app, recover_options),
-      add_export(app, export_options),
+      add_export(app, export_options, export_mesh),
       add_render(app)};
   try {
     app.parse(argc, argv);

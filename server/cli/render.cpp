@@ -11,17 +11,17 @@ namespace crumple {
 namespace {
 
 constexpr char script[] = R"(
-import sys
+import importlib, sys
 try:
-    from crumple.render import main
+    main = importlib.import_module(f"crumple.{sys.argv.pop(1)}").main
 except ImportError as error:
     sys.exit(f"{error}: run server/setup python_package, or `pip install clients/python[render]` where CRUMPLE_PYTHON is")
 main()
 )";
 
-}  // namespace
-
-int render(const std::vector<std::string>& arguments) {
+// Runs the main() of a module of the Python package.
+int run_module(const std::string& name, std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), name);
   const bool terminal = isatty(STDERR_FILENO);
   std::string said;
   const int status = run_script(script, arguments, [&](const std::string& line) {
@@ -38,6 +38,14 @@ int render(const std::vector<std::string>& arguments) {
   else if (!said.empty())
     std::fprintf(stderr, "%s\n", said.c_str());
   return status;
+}
+
+}  // namespace
+
+int render(const std::vector<std::string>& arguments) { return run_module("render", arguments); }
+
+int export_model(const ExportOptions& options, const std::string& model) {
+  return run_module("export", {options.file, options.folder, model, std::to_string(options.fps)});
 }
 
 }  // namespace crumple

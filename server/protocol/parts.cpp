@@ -65,4 +65,28 @@ const char* read_parts(const schema::Car& car, Parts& parts) {
   return nullptr;
 }
 
+const char* read_looks(const schema::Car& car, Looks& looks) {
+  const auto* list = car.look();
+  const auto* of_triangle = car.triangle_look();
+  const size_t count = list ? list->size() : 0, triangles = of_triangle ? of_triangle->size() : 0;
+  if (count > max_looks) return "it has over 255 looks";
+  if (triangles != (count ? car.triangle()->size() / 3 : 0)) return "its lists of looks do not have matching lengths";
+  looks = {};
+  if (count == 0) return nullptr;
+  for (const schema::Look* from : *list) {
+    const schema::Color& color = *from->color();
+    Look& look = looks.look.emplace_back();
+    look = {
+        from->name()->str(), {color.red(), color.green(), color.blue(), color.opacity()}, from->metallic(), from->roughness()};
+    if (!is_part_name(look.name)) return "the name of a look is not 1 to 64 printable characters";
+    const auto share = [](float x) { return x >= 0 && x <= 1; };
+    if (!std::all_of(look.color.begin(), look.color.end(), share) || !share(look.metallic) || !share(look.roughness))
+      return "a number of a look is not from 0 to 1";
+  }
+  looks.of_triangle = {of_triangle->data(), triangles};
+  for (const uint8_t look : looks.of_triangle)
+    if (look >= count && look != no_look) return "a triangle names a look that does not exist";
+  return nullptr;
+}
+
 }  // namespace crumple

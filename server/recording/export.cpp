@@ -178,13 +178,53 @@ Shown begin(const std::string& id, Actor& actor, double time, const Export& out)
   return shown;
 }
 
+// What a triangle looks like: as the car says, else as the kind of its part.
+struct Shading {
+  std::vector<Look> look;
+  std::vector<size_t> of_triangle;
+};
+
+Shading shading_of(const Car& car) {
+  using schema::PartKind;
+  Shading out{{{"paint", {0.55f, 0.07f, 0.06f, 1}, 0.1f, 0.4f},
+               {"glass", {0.01f, 0.02f, 0.03f, 0.45f}, 0.3f, 0.05f},
+               {"light", {0.9f, 0.84f, 0.64f, 1}, 0.1f, 0.15f},
+               {"wheel", {0.011f, 0.011f, 0.013f, 1}, 0, 0.85f},
+               {"interior", {0.044f, 0.037f, 0.034f, 1}, 0, 0.9f}},
+              {}};
+  const size_t kinds = out.look.size();
+  out.look.insert(out.look.end(), car.looks.look.begin(), car.looks.look.end());
+  for (size_t t = 0; t < car.model.triangle.size() / 3; ++t) {
+    const uint8_t look = car.looks.of_triangle.empty() ? no_look : car.looks.of_triangle[t];
+    const PartKind kind =
+        car.parts.of_vertex.empty() ? PartKind::body : car.parts.part[car.parts.of_vertex[car.model.triangle[3 * t]]].kind;
+    const size_t by_kind = kind == PartKind::glass      ? 1
+                           : kind == PartKind::light    ? 2
+                           : kind == PartKind::wheel    ? 3
+                           : kind == PartKind::interior ? 4
+                                                        : 0;
+    out.of_triangle.push_back(look == no_look ? by_kind : kinds + look);
+  }
+  return out;
+}
+
 void end(Actor& actor, Export& out) {
   const Shown& shown = *actor.shown;
   Animation animation;
   animation.name = shown.name;
   animation.copyright = shown.car->attribution;
   animation.vertex = shown.car->model.vertex;
-  animation.triangle = shown.car->model.triangle;
+  const Shading shading = shading_of(*shown.car);
+  std::vector<uint32_t> triangle;
+  for (size_t look = 0; look < shading.look.size(); ++look) {
+    const size_t first = triangle.size();
+    for (size_t t = 0; t < shading.of_triangle.size(); ++t) {
+      const auto corner = shown.car->model.triangle.begin() + std::ptrdiff_t(3 * t);
+      if (shading.of_triangle[t] == look) triangle.insert(triangle.end(), corner, corner + 3);
+    }
+    if (triangle.size() > first) animation.groups.push_back({first, shading.look[look]});
+  }
+  animation.triangle = triangle;
   animation.shapes = shown.shapes.size();
   animation.displacement = [&](size_t i) { return displacement(shown, shown.shapes[i]); };
   animation.keys = shown.keys;

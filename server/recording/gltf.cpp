@@ -67,7 +67,11 @@ constexpr const char* upright = "\"rotation\":[-0.5,-0.5,-0.5,0.5]";
 std::string describe(const Animation& animation, uint64_t& size) {
   Layout layout;
   const size_t keys = animation.keys.size();
-  const int indices = layout.add(animation.triangle.size(), "SCALAR", 1, type_uint, element_array_buffer, "");
+  std::vector<int> indices;
+  for (size_t i = 0; i < animation.groups.size(); ++i) {
+    const size_t end = i + 1 < animation.groups.size() ? animation.groups[i + 1].first : animation.triangle.size();
+    indices.push_back(layout.add(end - animation.groups[i].first, "SCALAR", 1, type_uint, element_array_buffer, ""));
+  }
   const int rest = layout.add(animation.vertex.size(), "VEC3", 3, type_float, array_buffer, bounds(animation.vertex));
   std::string targets, weights;
   for (size_t i = 0; i < animation.shapes; ++i) {
@@ -89,16 +93,26 @@ std::string describe(const Animation& animation, uint64_t& size) {
         (i ? "," : "") + ("{\"sampler\":" + std::to_string(i)) + ",\"target\":{\"node\":1,\"path\":\"" + paths[i] + "\"}}";
   }
   size = layout.size;
+  std::string primitives, materials;
+  for (size_t i = 0; i < indices.size(); ++i) {
+    const auto& [name, color, metallic, roughness] = animation.groups[i].look;
+    primitives += (i ? "," : "") + ("{\"attributes\":{\"POSITION\":" + std::to_string(rest)) +
+                  "},\"indices\":" + std::to_string(indices[i]) + ",\"material\":" + std::to_string(i) +
+                  (animation.shapes ? ",\"targets\":[" + targets + "]}" : "}");
+    materials += (i ? "," : "") + ("{\"name\":" + quoted(name)) + ",\"doubleSided\":true," +
+                 (color[3] < 1 ? "\"alphaMode\":\"BLEND\"," : "") + "\"pbrMetallicRoughness\":{\"baseColorFactor\":[" +
+                 number(double(color[0])) + "," + number(double(color[1])) + "," + number(double(color[2])) + "," +
+                 number(double(color[3])) + "],\"metallicFactor\":" + number(double(metallic)) +
+                 ",\"roughnessFactor\":" + number(double(roughness)) + "}}";
+  }
   return "{\"asset\":{\"version\":\"2.0\",\"generator\":\"crumple export\",\"copyright\":" + quoted(animation.copyright) +
          "},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"name\":\"world\"," + upright +
          ",\"children\":[1]},{\"name\":" + quoted(animation.name) +
-         ",\"mesh\":0}],\"meshes\":[{\"name\":" + quoted(animation.name) +
-         ",\"primitives\":[{\"attributes\":{\"POSITION\":" + std::to_string(rest) + "},\"indices\":" + std::to_string(indices) +
-         ",\"material\":0" + (animation.shapes ? ",\"targets\":[" + targets + "]}],\"weights\":[" + weights + "]" : "}]") +
-         "}],\"materials\":[{\"doubleSided\":true,\"pbrMetallicRoughness\":{\"baseColorFactor\":[0.55,0.07,0.06,1],"
-         "\"metallicFactor\":0.1,\"roughnessFactor\":0.4}}],\"animations\":[{\"samplers\":[" +
-         samplers + "],\"channels\":[" + channels + "]}],\"bufferViews\":[" + layout.views + "],\"accessors\":[" +
-         layout.accessors + "],\"buffers\":[{\"byteLength\":" + std::to_string(layout.size) + "}]}";
+         ",\"mesh\":0}],\"meshes\":[{\"name\":" + quoted(animation.name) + ",\"primitives\":[" + primitives + "]" +
+         (animation.shapes ? ",\"weights\":[" + weights + "]" : "") + "}],\"materials\":[" + materials +
+         "],\"animations\":[{\"samplers\":[" + samplers + "],\"channels\":[" + channels + "]}],\"bufferViews\":[" +
+         layout.views + "],\"accessors\":[" + layout.accessors +
+         "],\"buffers\":[{\"byteLength\":" + std::to_string(layout.size) + "}]}";
 }
 
 template <class T>

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "protocol/parts.h"
 #include "sim/model.h"
 #include "sim/obstacle.h"
 
@@ -18,10 +19,16 @@ struct Animation {
     Pose pose;
     size_t shape = 0;  // 0: rest; i: displacement(i - 1)
   };
+  // Triangles that look alike: those from `first` up to the next.
+  struct Group {
+    size_t first = 0;  // index into triangle, a multiple of 3
+    Look look;
+  };
   std::string name;
   std::string copyright;
   std::span<const Vec3> vertex;        // at rest, m, car's frame
   std::span<const uint32_t> triangle;  // 3 indices each
+  std::vector<Group> groups;           // the first begins at 0
   size_t shapes = 0;
   std::function<std::vector<Vec3>(size_t)> displacement;  // of every vertex from rest, m; argument: number of the shape
   std::vector<Key> keys;

@@ -4,6 +4,15 @@ import { Car } from "./crumple/schema/car.js";
 import { digits, hashOf } from "./decode.js";
 import { motionOf, moved, nodesAround, partKinds, type Motion, type NodesAround, type Part } from "./parts.js";
 
+/** What a material of the source looks like, as in glTF: numbers from 0 to 1, the colour in linear light. */
+export interface Look {
+  name: string;
+  /** red, green, blue, opacity */
+  color: [number, number, number, number];
+  metallic: number;
+  roughness: number;
+}
+
 export interface BakedCar {
   name: string;
   /** Must be shown where the car is shown. */
@@ -29,11 +38,16 @@ export interface BakedCar {
   parts: Part[];
   /** The part of each vertex; empty if there are no parts. */
   vertexPart: Uint8Array;
+  looks: Look[];
+  /** The look of each triangle; noLook: it has no material, or one with a texture. Empty if there are no looks. */
+  triangleLook: Uint8Array;
   /** 3 numbers for each node of the skin, at rest, m; empty if there are no parts. */
   nodeRest: Float32Array;
   /** Of each part. */
   around: NodesAround[];
 }
+
+export const noLook = 255;
 
 /** asset: the hash of the car, 16 digits. Throws an Error with a sentence if the bytes are not this car. */
 export function readCar(bytes: Uint8Array, asset: string): BakedCar {
@@ -63,6 +77,7 @@ export function readCar(bytes: Uint8Array, asset: string): BakedCar {
     regions: Array.from({ length: car.regionLength() }, (_, i) => car.region(i)),
     sourceToCar: car.sourceToCarLength() === 12 ? Float64Array.from({ length: 12 }, (_, i) => car.sourceToCar(i)!) : null,
     vertex, triangle, nodes: skinned.used.length, node: skinned.node, weight: skinned.weight, parts, nodeRest,
+    ...readLooks(car, triangle, asset),
     vertexPart: parts.length ? car.vertexPartArray()!.slice() : new Uint8Array(), around: parts.map((part) => nodesAround(part, nodeRest)),
   };
 }
@@ -81,6 +96,20 @@ function readParts(car: Car, triangle: Uint32Array, asset: string): Part[] {
   const fits = of?.length === car.vertexLength() && of.every((part) => part < count) && triangle.every((v, i) => of[v] === of[triangle[i - (i % 3)]]);
   if (!fits) throw new Error(`asset ${asset}: its parts do not fit its vertices`);
   return parts;
+}
+
+function readLooks(car: Car, triangle: Uint32Array, asset: string): Pick<BakedCar, "looks" | "triangleLook"> {
+  const count = car.lookLength(), of = car.triangleLookArray();
+  if (!count) return { looks: [], triangleLook: new Uint8Array() };
+  const looks = Array.from({ length: count }, (_, i): Look => {
+    const look = car.look(i)!, c = look.color()!;
+    const color: Look["color"] = [c.red(), c.green(), c.blue(), c.opacity()], metallic = look.metallic(), roughness = look.roughness();
+    if (![...color, metallic, roughness].every((x) => x >= 0 && x <= 1)) throw new Error(`asset ${asset}: a number of look ${i} is not from 0 to 1`);
+    return { name: look.name() ?? "", color, metallic, roughness };
+  });
+  if (of?.length !== triangle.length / 3 || of.some((look) => look >= count && look !== noLook))
+    throw new Error(`asset ${asset}: its looks do not fit its triangles`);
+  return { looks, triangleLook: of.slice() };
 }
 
 // Numbers the nodes that have a weight above 0 in ascending order, as keyframes and deltas do. `skin` has four nodes and four weights

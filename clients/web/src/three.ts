@@ -2,14 +2,14 @@
 // x forward, y left, z up, metres.
 import * as THREE from "three";
 import { ConvexGeometry } from "three/addons/geometries/ConvexGeometry.js";
-import { skin, strain, type BakedCar } from "./baked.js";
+import { noLook, skin, strain, type BakedCar, type Look } from "./baked.js";
 import { crosses, displacementOf, mapVertices, turn, type Mapping } from "./mapping.js";
 import { Shape, type Obstacle } from "./decode.js";
 
 /** Edges that are sharper than this at rest stay sharp: doors, windows, wheel arches. */
 const crease = Math.cos((32 * Math.PI) / 180);
 
-// What parts look like that are not painted; the order is that of the materials after the paint.
+// What parts look like that have no material; the order is that of the materials after the paint.
 const looks = {
   glass: new THREE.MeshStandardMaterial({ color: "#1c2a33", roughness: 0.05, metalness: 0.3, transparent: true, opacity: 0.45, side: THREE.DoubleSide, depthWrite: false }),
   light: new THREE.MeshStandardMaterial({ color: "#f4ecd2", roughness: 0.15, metalness: 0.1, side: THREE.DoubleSide }),
@@ -18,12 +18,25 @@ const looks = {
 };
 const lookNames = Object.keys(looks);
 
-/** Materials for a CarMesh: this one for body and panels, and others for glass, lights, wheels and interior. */
-export function partMaterials(paint: THREE.Material): THREE.Material[] {
-  return [paint, ...Object.values(looks)];
+/**
+ * Materials for a CarMesh: those of the car, and for what has none, this one on body and panels, and others on glass, lights, wheels and
+ * interior.
+ */
+export function partMaterials(paint: THREE.Material, car: BakedCar): THREE.Material[] {
+  if (!own.has(car)) own.set(car, car.looks.map(materialOf));
+  return [paint, ...Object.values(looks), ...own.get(car)!];
 }
 
-/** material: one for the whole car, or what partMaterials gives. */
+const own = new WeakMap<BakedCar, THREE.Material[]>(); // the same ones for all meshes of a car
+
+function materialOf({ color: [red, green, blue, opacity], metallic, roughness }: Look): THREE.Material {
+  const clear = opacity < 0.99;
+  return new THREE.MeshStandardMaterial({
+    color: new THREE.Color(red, green, blue), metalness: metallic, roughness, side: THREE.DoubleSide, transparent: clear, opacity, depthWrite: !clear,
+  });
+}
+
+/** material: one for the whole car, or what partMaterials gives for it. */
 export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material | THREE.Material[]> {
   /** Positions of the vertices as the skin has them, and how far each has moved, m. */
   readonly skinned: Float32Array;
@@ -183,12 +196,15 @@ export class OwnModel extends THREE.Group {
   }
 }
 
-// Sorts triangles by their look, and makes a group of each look.
+// Sorts triangles by their look, and makes a group of each look, in the order of partMaterials.
 function groupByLook(car: BakedCar, triangle: Uint32Array, geometry: THREE.BufferGeometry): void {
   const lookOf = car.parts.map(({ kind }) => lookNames.indexOf(kind) + 1), all = triangle.slice();
-  const look = Uint8Array.from({ length: triangle.length / 3 }, (_, t) => lookOf[car.vertexPart[car.triangle[3 * t]]] ?? 0);
+  const look = Uint16Array.from({ length: triangle.length / 3 }, (_, t) => {
+    const own = car.triangleLook[t] ?? noLook;
+    return own === noLook ? lookOf[car.vertexPart[car.triangle[3 * t]]] ?? 0 : 1 + lookNames.length + own;
+  });
   let at = 0;
-  for (let each = 0; each <= lookNames.length; ++each) {
+  for (let each = 0; each <= lookNames.length + car.looks.length; ++each) {
     const first = at;
     look.forEach((own, t) => {
       if (own !== each) return;

@@ -13,6 +13,8 @@ import struct
 
 import crumple
 import flatbuffers
+import numpy as np
+import own
 from crumple.schema.Delta import DeltaT
 from crumple.schema.Keyframe import KeyframeT
 
@@ -274,6 +276,29 @@ cases = {
         (b_parts[0], "part", None), ("key_half.keyframe", "refused", None), (b_parts[1], "part", None),
         ("key_quantum_nan.keyframe", "refused", None), (b_parts[2], "applied", b)],
 }
+
+# ---- a mesh of the game's own, and parts
+
+box, mesh, car, mine = own.make()
+made("box.car", box)
+made("box.own", mesh)
+ASSET = f"{xxh64(box):016x}"
+dent = np.exp(-((car.node[car.used] - [2, 0.5, 0.5]) ** 2).sum(1) / 0.9)[:, None] * [-0.4, -0.15, 0.1]
+turned = 0.3 * (car.node[car.used] @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]).T)  # all of it, with some stretch
+still, bent, rolled = (Held(tick, [int(x) for x in np.rint(moved / 0.0005).ravel()], 0.0005)
+                       for tick, moved in ((3, 0 * dent), (4, dent), (9, turned)))
+
+
+def and_own(held):
+    moved = np.array(held.quanta).reshape(-1, 3) * held.quantum
+    return {**dict(held), "own": mine.now(moved), "poses": [[float(x) for x in pose] for pose in car.poses(moved)]}
+
+
+cases["vertices of the game and parts follow the dents"] = [
+    ("box.car", "held", None), ("box.own", "mapped", {"vertices": len(mine.rows), "on_vertices": int(mine.on_vertices), "farthest": mine.farthest}),
+    (made("key3_box.keyframe", keyframe(still)), "applied", and_own(still)),
+    (made("delta4_box.delta", delta(bent, still)), "applied", and_own(bent)),
+    (made("key9_box.keyframe", keyframe(rolled)), "applied", and_own(rolled))]
 
 for old in (HERE / "messages").glob("*"):
     old.unlink()

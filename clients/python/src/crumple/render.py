@@ -30,9 +30,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from crumple._library import Error
 from crumple.car_sheet import is_baked_car, kinds_of, render_car
+from crumple.model import NO_LOOK, Bound, Look, Model, bytes_of_cars, looks_of, source_of
 from crumple.recording import Recording, _obstacle_of
 from crumple.schema.Obstacles import Obstacles, ObstaclesT
 from crumple.trace import Array, Camera, Mesh, Scene, framed
+from crumple.session import View
+from crumple.types import Mesh as CarMesh
 from crumple.types import Obstacle, PartKind, Pose, Shape
 
 matplotlib.use("Agg")
@@ -41,9 +44,9 @@ import matplotlib.pyplot as plt  # noqa: E402
 # Okabe and Ito's colours, which nearly everybody can tell apart: PAINT in the light, INK on white.
 PAINT = [(0.74, 0.24, 0.05), (0.06, 0.36, 0.62), (0.05, 0.50, 0.38), (0.80, 0.50, 0.10)]
 INK = ["#D55E00", "#0072B2", "#009E73", "#B07700"]
-# Colour and gloss of parts that are not painted.
-LOOKS = {PartKind.glass: ((0.05, 0.07, 0.08), 1.0), PartKind.light: ((0.90, 0.86, 0.72), 1.0), PartKind.wheel: ((0.045, 0.045, 0.05), 0.2),
-         PartKind.interior: ((0.13, 0.12, 0.12), 0.1)}
+# Of parts that have no material.
+LOOKS = {PartKind.glass: Look((0.05, 0.07, 0.08), 1.0, glass=True), PartKind.light: Look((0.90, 0.86, 0.72), 1.0),
+         PartKind.wheel: Look((0.045, 0.045, 0.05), 0.2), PartKind.interior: Look((0.13, 0.12, 0.12), 0.1)}
 CONCRETE, STEEL = (0.62, 0.61, 0.58), (0.86, 0.72, 0.16)
 BEFORE, AFTER = 0.25, 0.6  # s that a clip shows before and after its dents
 GAP = 1.2  # s without a dent, after which another clip begins
@@ -74,11 +77,19 @@ class Moment:
 
 
 @dataclass
+class Cloth:
+    """Triangles of a car that look alike. look: None: the car's paint."""
+
+    triangle: Array
+    look: Look | None
+    uv: Array | None = None  # of all vertices of the car
+
+
+@dataclass
 class Film:
     clip: Clip
     moments: list[Moment]
-    triangle: dict[str, Array] = field(default_factory=dict)
-    kind: dict[str, Array] = field(default_factory=dict)  # of each triangle: its PartKind
+    dress: dict[str, list[Cloth]] = field(default_factory=dict)  # by car
     credits: list[str] = field(default_factory=list)
 
 
@@ -129,8 +140,9 @@ def hit(rows: Array) -> list[str]:
     return list(dict.fromkeys(rows["car"].tolist()))
 
 
-def read_film(recording: Recording, clip: Clip, step: float) -> Film:
-    film = Film(clip, [])
+def read_film(recording: Recording, clip: Clip, step: float, model: Model | None = None) -> Film:
+    """model: draws the cars that were baked from it."""
+    film, cars, bound = Film(clip, []), bytes_of_cars(recording), dict[str, Bound | None]()
     poses = {car: (sorted(known), known) for car, known in recording.poses(clip.start - 5, clip.end).items()}
     lists = [(tick, key, [_obstacle_of(each) for each in ObstaclesT.InitFromObj(Obstacles.GetRootAs(data)).obstacles])
              for tick, key, data in recording.messages() if key.endswith("/obstacles")]
@@ -151,24 +163,68 @@ def read_film(recording: Recording, clip: Clip, step: float) -> Film:
             surface, seen = frame.surface(car), frame.vertices(car)
             if not surface or not seen:
                 continue
-            moment.vertex[car] = (seen.position @ matrix(stands.orientation).T + stands.position).astype(np.float32)
-            moment.dent[car] = np.linalg.norm(seen.displacement, axis=1)
-            mesh = frame.mesh(surface.asset)
-            film.triangle[car], film.kind[car] = mesh.triangle, kinds_of(mesh)
+            mesh, position, dent = frame.mesh(surface.asset), seen.position, seen.displacement
+            if model and surface.asset not in bound:
+                bound[surface.asset] = bind(model, frame, surface.asset, cars[surface.asset])
+            if own := bound.get(surface.asset):
+                seen = own.vertices(frame, car)
+                if not seen:
+                    continue
+                position = own.in_car(seen.position)
+                dent = position - own.rest_in_car
+            film.dress[car] = dress_of_model(own.model, own.first) if own else dress_of(cars[surface.asset], mesh)
+            moment.vertex[car] = (position @ matrix(stands.orientation).T + stands.position).astype(np.float32)
+            moment.dent[car] = np.linalg.norm(dent, axis=1)
             if mesh.attribution not in film.credits:
                 film.credits.append(mesh.attribution)
         latest = {key: (tick, told) for tick, key, told in lists if tick <= frame.tick}
         moment.obstacles = [moved(each, (frame.tick - tick) / recording.rate) for tick, told in latest.values() for each in told]
         if moment.vertex:
             film.moments.append(moment)
+    if model and not any(bound.values()):
+        raise Error(f"{model.path}: none of the cars was baked from it")
     return film
 
 
-def car_meshes(vertex: Array, triangle: Array, kind: Array, paint: tuple[float, float, float]) -> list[Mesh]:
-    """Gives a mesh of each look that the car has."""
-    looks = {each: LOOKS.get(PartKind(each), (paint, 1.0)) for each in np.unique(kind).tolist()}
-    return [Mesh(vertex, triangle[np.isin(kind, [each for each in looks if looks[each] == look])], *look, glass=look is LOOKS[PartKind.glass])
-            for look in dict.fromkeys(looks.values())]
+def bind(model: Model, frame: View, asset: str, car: bytes) -> Bound | None:
+    """None: the car was baked from another file."""
+    source = source_of(car)
+    try:
+        return None if source is None else Bound(model, frame, asset, source)
+    except Error:
+        return None
+
+
+def dress_of(car: bytes, mesh: CarMesh) -> list[Cloth]:
+    """Of a baked car: by its looks, and elsewhere by the kinds of parts."""
+    looks, look = looks_of(car)
+    of: list[Look | None] = [None, *LOOKS.values(), *looks]
+    kinds = [None, *LOOKS]
+    by_kind = np.array([kinds.index(kind) if kind in kinds else 0 for kind in PartKind])[kinds_of(mesh)]
+    which = np.where(look == NO_LOOK, by_kind, len(kinds) + look.astype(int))
+    return [Cloth(mesh.triangle[which == i], of[i]) for i in np.unique(which).tolist()]
+
+
+def dress_of_model(model: Model, first: Array) -> list[Cloth]:
+    blank = np.zeros((int(first[-1]), 2), np.float32)
+    out = []
+    for piece, start in zip(model.pieces, first.tolist()):
+        uv = None
+        if piece.uv is not None:
+            uv = blank.copy()
+            uv[start : start + len(piece.uv)] = piece.uv
+        out.append(Cloth(piece.triangle + start, piece.look, uv))
+    return [cloth for cloth in out if len(cloth.triangle)]
+
+
+def car_meshes(vertex: Array, dress: list[Cloth], paint: tuple[float, float, float]) -> list[Mesh]:
+    out = []
+    for cloth in dress:
+        look = cloth.look or Look(paint, 1.0)
+        used, triangle = np.unique(cloth.triangle, return_inverse=True)
+        uv = None if cloth.uv is None else cloth.uv[used]
+        out.append(Mesh(vertex[used], triangle.reshape(-1, 3), look.color, look.gloss, look.glass, uv, look.texture))
+    return out
 
 
 def moved(obstacle: Obstacle, seconds: float) -> Obstacle:
@@ -260,14 +316,14 @@ class Stage:
     def scene(self, moment: Moment, clear: bool = True) -> Scene:
         """clear: one can see through glass."""
         cars = [mesh for car, vertex in moment.vertex.items()
-                for mesh in car_meshes(vertex, self.film.triangle[car], self.film.kind[car], self.paint[car])]
+                for mesh in car_meshes(vertex, self.film.dress[car], self.paint[car])]
         found = [mesh for each in moment.obstacles if (mesh := obstacle_mesh(each, self.low, self.high))]
         return Scene([mesh if clear else dataclasses.replace(mesh, glass=False) for mesh in cars + found], self.ground)
 
     def bare(self) -> Stage:
         """Gives a stage without moments: another process needs no more."""
         stage = copy.copy(self)
-        stage.film = Film(self.film.clip, [], self.film.triangle, self.film.kind)
+        stage.film = Film(self.film.clip, [], self.film.dress)
         return stage
 
     def _best_camera(self, moments: list[Moment], points: Array, width: int, height: int) -> Camera:
@@ -478,6 +534,7 @@ def render(options: argparse.Namespace) -> None:
         progress("drawing the car")
         print(f"{render_car(options.recording, folder)}: what is solid, hollow and held, drawn in {time.monotonic() - begun:.0f} s")
         return
+    model = Model(options.mesh) if options.mesh else None
     with Recording(options.recording) as recording:
         unknown = [car for car in options.cars or () if car not in recording.cars]
         if unknown or not recording.cars:
@@ -491,7 +548,7 @@ def render(options: argparse.Namespace) -> None:
                         "--to, a higher --speed or fewer --fps")
         for clip in clips:
             progress(f"reading {clip.start:.1f} to {clip.end:.1f} s")
-            film = read_film(recording, clip, options.speed / options.fps)
+            film = read_film(recording, clip, options.speed / options.fps, model)
             films += [film] if film.moments else []
         if not films:
             raise Error(f"{options.recording}: no car has a pose in that time; choose another time by --from and --to")
@@ -537,7 +594,7 @@ def main() -> None:
         "what is solid, hollow and anchored, and where its front is.",
         epilog="Examples: crumple render today.mcap -o pictures --speed 0.1; crumple render car.car -o pictures")
     none: dict[str, Any] = {"default": argparse.SUPPRESS}
-    parser.set_defaults(output="", start=None, to=None, cars=None)
+    parser.set_defaults(output="", start=None, to=None, cars=None, mesh=None)
     parser.add_argument("recording", metavar="FILE", help="the recording, or the baked car: of a car only -o applies")
     parser.add_argument("-o", "--output", metavar="FOLDER",
                         help="where it writes (default: the name of FILE without its ending)", **none)
@@ -548,6 +605,8 @@ def main() -> None:
                         help="speed of the animation, as a multiple of the real speed")
     parser.add_argument("--fps", metavar="N", type=number(1, 60), default=15, help="frames a second of the animation")
     parser.add_argument("--cars", metavar="ID", nargs="+", help="the cars that it draws (default: all that are hit)", **none)
+    parser.add_argument("--mesh", metavar="MODEL.glb", help="the glTF file from which the cars were baked: it draws them, with its "
+                        "materials and textures", **none)
     parser.add_argument("--size", metavar="WxH", type=size_of, default="960x540", help="size of the animation, pixels")
     parser.add_argument("--sheet", action="store_true", help="leave out the animation, which is quicker")
     parser.add_argument("--frames", action="store_true", help="write every frame as a PNG too")

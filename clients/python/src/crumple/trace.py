@@ -32,6 +32,8 @@ class Mesh:
     color: tuple[float, float, float]
     gloss: float = 0.0
     glass: bool = False
+    uv: Array | None = None  # n x 2
+    texture: Array | None = None  # height x width x 3 bytes, times `color`
 
 
 class Camera:
@@ -124,6 +126,8 @@ class Scene:
         self.vertex = np.concatenate([mesh.vertex for mesh in meshes]).astype(np.float32)
         self.triangle = np.concatenate([mesh.triangle + o for mesh, o in zip(meshes, offset)]).astype(np.int32)
         self.owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
+        self.uv = np.concatenate([np.zeros((len(mesh.vertex), 2)) if mesh.uv is None else mesh.uv for mesh in meshes]).astype(np.float32)
+        self.texture = [None if mesh.uv is None else mesh.texture for mesh in meshes]
         self.color = np.array([mesh.color for mesh in meshes], np.float32)
         self.gloss = np.array([mesh.gloss for mesh in meshes], np.float32)
         self.ground = ground
@@ -220,7 +224,7 @@ class Scene:
         above = point + NEAR * flat
         key = np.clip(normal @ camera.sun, 0, 1)[:, None] * (self.reached(above, camera.sun) & (flat @ camera.sun > 0))[:, None]
         owner = self.owner[which]
-        color = self.color[owner] * np.where(inner, 0.6, 1)
+        color = self._color(owner, which, weight) * np.where(inner, 0.6, 1)
         gloss = self.gloss[owner, None] * np.where(inner, 0.15, 1)
         facing = np.clip(-_dot(normal, ray), 0, 1)
         mirror = ray + 2 * facing * normal
@@ -229,6 +233,19 @@ class Scene:
         body = color * (0.60 * key + 0.56 * fill)
         image[hit] = body * (1 - fresnel) + fresnel * _sky(mirror) * np.clip(0.2 + 0.8 * fill, 0, 1) + 0.35 * gloss * shine
         seen[hit, :3], seen[hit, 3] = flat, owner
+
+    def _color(self, owner: Array, which: Array, weight: Array) -> Array:
+        """Of the points with these weights of the corners of triangles."""
+        color = self.color[owner]
+        for i in np.unique(owner):
+            texture = self.texture[i]
+            if texture is None:
+                continue
+            mine = np.flatnonzero(owner == i)
+            at = _dot(weight[mine][:, None], self.uv[self.triangle[which[mine]]].transpose(0, 2, 1))[..., 0] % 1
+            row, column = ((at[:, k] * texture.shape[1 - k]).astype(int) % texture.shape[1 - k] for k in (1, 0))
+            color[mine] *= texture[row, column] / np.float32(255)
+        return np.asarray(color)
 
     def _light_corners(self, wanted: Array, camera: Camera) -> None:
         """Computes the light of the sky at the corners of the triangles that the camera sees, on the side that it sees. Between

@@ -75,7 +75,7 @@ export class ShownCar {
       this.#version = -1;
       this.#painted = "";
       this.#paint = new THREE.MeshStandardMaterial({ color: this.colour, roughness: 0.3, metalness: 0.25, side: THREE.DoubleSide });
-      this.mesh = new CarMesh(car.baked, partMaterials(this.#paint));
+      this.mesh = new CarMesh(car.baked, partMaterials(this.#paint, car.baked));
       this.#extent.setFromBufferAttribute(new THREE.BufferAttribute(car.baked.vertex, 3));
       this.group.add(this.mesh);
     }
@@ -102,7 +102,7 @@ export class ShownCar {
       material.roughness = heated ? 0.7 : 0.3;
       material.needsUpdate = true;
     }
-    mesh.material = heated ? material : partMaterials(material);
+    mesh.material = heated ? material : partMaterials(material, mesh.baked);
     mesh.visible = heated || !this.own;
     if (this.own) this.own.visible = !heated;
     const wanted = !heated ? "" : comparison && heatOf === "dent" ? "difference" : `${heatOf} ${this.#version}`;
