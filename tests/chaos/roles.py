@@ -4,7 +4,8 @@
     roles.py truth ENDPOINT NETWORK CARS                      asks the server for the hash of each car, at each line on stdin
     roles.py links                                            bad links: "open NAME HOST:PORT [thin]",
                                                               "up|cut|freeze NAME", "slow NAME MS JITTER"
-    roles.py probe                                            measures how late the machine wakes a sleeping process
+    roles.py machine                                          measures how long the machine lets ready processes wait: itself,
+                                                              and those named on stdin, "watch NAME PID"
 
 NETWORK: a file of Zenoh's configuration that overrides a client's, or "-". CARS of truth: car ids, comma separated.
 """
@@ -23,7 +24,7 @@ RATE = 60  # poses a second
 WALL = 20.0  # m: the face of every wall, in x
 LANE = 8.0  # m between cars
 TELL = 0.1  # s: a host reports if the server does not hear it for longer
-NAP, OVERSLEPT = 0.01, 0.02  # s: the time that the probe sleeps, and the delay that it reports
+NAP, LOOK = 0.01, 0.1  # s: the machine is measured by sleeps of this length; the time between two looks at its processes
 PERIOD = 2 * RATE  # ticks from one crash of all cars to the next
 WAIT = RATE // 4  # ticks that a car stands at its start before it goes
 UNIT = 1e-6  # m/s: the velocity in z encodes a pose's number modulo NUMBERS; contacts do not change it
@@ -234,12 +235,57 @@ def truth(endpoint, network, cars):
 # ---- the machine -------------------------------------------------------------------------------------------------------------
 
 
-def probe():
+def threads_of(pid):
+    """Returns how long each thread of a process has run, and how long it was ready and waited for a core: s, by thread."""
+    out = {}
+    for file in pathlib.Path(f"/proc/{pid}/task").glob("*/schedstat"):
+        try:
+            ran, waited, _ = file.read_text().split()
+        except (OSError, ValueError):
+            continue  # the thread has just ended
+        out[file.parent.name] = int(ran) * 1e-9, int(waited) * 1e-9
+    return out
+
+
+def machine():
+    """Sleeps again and again for a moment. Tells at each look: the time since the last one, by how much a sleep was too long, and
+    for each process the longest time that one of its threads was ready and got no core, and the time that all of them ran."""
+    pids, before = {}, {}
+
+    def order(line):
+        _, name, pid = line.split()
+        pids[name] = int(pid)
+
+    lines(order)
     while True:
-        due = time.monotonic() + NAP
-        time.sleep(NAP)
-        if (late := time.monotonic() - due) > OVERSLEPT:
-            say(overslept=late, due=due)
+        since, overslept = time.monotonic(), 0.0
+        while (slept := time.monotonic()) < since + LOOK:
+            time.sleep(NAP)
+            overslept += time.monotonic() - slept - NAP
+        waited, ran = {"sleeper": overslept}, {}
+        for name, pid in list(pids.items()):
+            now, last = threads_of(pid), before.get(pid, {})
+            more = [[after - then for after, then in zip(now[id], last[id])] for id in now if id in last]
+            ran[name], waited[name] = sum(each[0] for each in more), max((each[1] for each in more), default=0.0)
+            before[pid] = now
+        say(at=time.monotonic(), since=since, waited=waited, ran=ran)
+
+
+def share_of_machine(told, begin, end):
+    """Of the time from begin to end, the seconds in which the sleeper or a watched process was ready and got no core. told: the
+    lines of `machine`. A wait that is told at a look ended there at the latest."""
+    stood, covered = 0.0, end  # from `covered` on, all waits are counted
+    for each in reversed(told):
+        until = min(each["at"], covered)
+        since = max(each["at"] - max(each["waited"].values()), begin)
+        if until > since:
+            stood, covered = stood + until - since, since
+    return stood
+
+
+def time_of(name, told, begin, end):
+    """The seconds of a core that a process used at the looks from begin to end."""
+    return sum(each["ran"].get(name, 0.0) for each in told if begin < each["at"] <= end + LOOK)
 
 
 # ---- bad lines ---------------------------------------------------------------------------------------------------------------
@@ -341,4 +387,4 @@ if __name__ == "__main__":
     if verb == "links":
         asyncio.run(serve_links())
     else:
-        {"host": host, "probe": probe, "truth": truth}[verb](*arguments)
+        {"host": host, "machine": machine, "truth": truth}[verb](*arguments)
