@@ -52,6 +52,7 @@ struct ContactSet {
   std::vector<Candidates> candidate;  // per near obstacle, for the whole tick
   std::vector<Contact> contact;       // of this sub-step; sorted by node, at most contacts_per_node each
   std::vector<uint32_t> first;        // per node: index of its first contact + 1; 0: none (index_contacts)
+  std::vector<uint32_t> loose;        // anchored nodes on their way back, which nothing touches any more (hold_anchors)
 
   bool holds(size_t node) const { return first[node] != 0; }
   // Whether this is its node's first contact, for work that is done once per node.

@@ -76,7 +76,7 @@ void solve(std::span<Member> island, PairGroup& group, const Substep& now, float
     DeformableState& body = member.state.body;
     const PairIndex* index = group.contact.empty() ? nullptr : &group.index[k];
     index_contacts(member.input.model.node.size(), contacts);
-    hold_anchors(member.input.model, contacts, index, body);
+    hold_anchors(member.input.model, index, contacts, body);
     start = body.node;
     parts.push_back({member.input, contacts, index, h / last_seconds(body, now), solver, body});
   }

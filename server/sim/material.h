@@ -53,7 +53,7 @@ struct Material {
 struct Parameters {
   Solver solver = Solver::nodal;
   // `nodal`: most sweeps per sub-step; `classic`: iterations per tick. [1, 1000].
-  uint16_t iterations = 32;
+  uint16_t iterations = 40;
   // A sub-step of `nodal` ends when its last two sweeps moved the awake nodes by no more than this (rms), m, [0, 0.1]. It is an
   // absolute length, because a share of the nodes' way would spend sweeps where nothing moves and save them where the dent is
   // made. 0: do all iterations.

@@ -403,19 +403,20 @@ void keep_still(const Blocks& blocks, NodalSolver& solver) {
   }
 }
 
-// Calls visit(node) once for each node that an obstacle or another car may hold.
+// Calls visit(node) once for each node that an obstacle or another car may hold, and for each loose anchored one.
 template <class Visit>
 void for_each_touched(const ContactSet& contacts, const PairIndex* pairs, const Visit& visit) {
   for (const Contact& contact : contacts.contact) {
     if (contacts.is_first(contact)) visit(contact.node);
   }
+  for (const uint32_t node : contacts.loose) visit(node);
   if (!pairs) return;
   for (const uint32_t node : pairs->node) {
     if (!contacts.holds(node)) visit(node);
   }
 }
 
-// Attaches springs to the anchored nodes that obstacles or cars reach; all springs together have at most the stiffness `most`,
+// Attaches springs to the anchored nodes that obstacles or cars reach or have reached; all springs together have at most the stiffness `most`,
 // N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, const ContactSet& contacts,
                      const PairIndex* pairs, NodalSolver& solver) {

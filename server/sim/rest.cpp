@@ -51,12 +51,16 @@ void stay_at_rest(const StepInput& input, const Substep& now, StepState& state) 
   for (const auto& [partner, force] : body.pairs.push) result_of(partner, result.partners).impulse += now.seconds * force;
 }
 
-void hold_anchors(const Model& model, const ContactSet& contacts, const PairIndex* pairs, DeformableState& body) {
+void hold_anchors(const Model& model, const PairIndex* pairs, ContactSet& contacts, DeformableState& body) {
+  contacts.loose.clear();
   for (size_t i = 0; i < body.node.size(); ++i) {
-    if (model.node_anchored[i] && !contacts.holds(i) && !(pairs && pairs->holds(i))) {
-      body.node[i] = model.node[i];
-      body.step[i].setZero();
+    if (!model.node_anchored[i] || contacts.holds(i) || (pairs && pairs->holds(i))) continue;
+    if (!body.lost && (body.node[i] - model.node[i]).norm() > anchor_slack) {
+      contacts.loose.push_back(uint32_t(i));
+      continue;
     }
+    body.node[i] = model.node[i];
+    body.step[i].setZero();
   }
 }
 
