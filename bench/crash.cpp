@@ -278,7 +278,8 @@ void restitution(Bench& bench) {
     for (const double kmh : {8.0, 16.0, 24.0, 32.0, 40.0, 48.0, 57.0}) {
       CrashTest at_wall(car, {}), at_pole(car, {});
       const HitResult wall = at_wall.hit(rigid_wall(), kmh / 3.6), post = at_pole.hit(rigid_pole(0.3), kmh / 3.6);
-      bench.energy(wall.energy, "wall, " + body.name), bench.energy(post.energy, "pole, " + body.name);
+      bench.energy(wall.energy, text("wall at %.0f km/h, ", kmh) + body.name),
+          bench.energy(post.energy, text("pole at %.0f km/h, ", kmh) + body.name);
       wall_curve.push_back({kmh, wall.restitution}), pole_curve.push_back({kmh, post.restitution});
       if (kmh == 8)
         slow &= wall.restitution >= 0.2 && wall.restitution <= 0.4,
@@ -533,7 +534,9 @@ void other_crashes(Bench& bench) {
     make_box({5, 5, 0.5f}, plate);
     const HitResult c = on_roof.hit(plate, Vector3d(0, 0, std::sqrt(2 * gravity * 0.5)));
     add(roof, text("%s %.0f mm, restitution %.2f", body.name.c_str(), 1e3 * c.deepest, c.restitution));
-    for (const double energy : {a.energy, b.energy, c.energy}) bench.energy(energy, "offset, side or roof, " + body.name);
+    bench.energy(a.energy, "offset wall, " + body.name);
+    bench.energy(b.energy, "pole at the side, " + body.name);
+    bench.energy(c.energy, "roof, " + body.name);
   }
   bench.report.row("rigid wall, 40 % offset, 64 km/h: crush of C1 and C6, yaw rate", "plausible", offset);
   bench.report.row("pole of 254 mm at the side, 32 km/h: deepest", "plausible", side);
