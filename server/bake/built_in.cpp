@@ -334,7 +334,7 @@ void add_wheel(Half& car, const Vec3& hub) {
   const auto last = static_cast<uint32_t>(profile.size()) - 1;
   for (const Ring& ring : profile)
     for (int k = 0; k < wheel_segments; ++k) {
-      const double turn = 2 * std::numbers::pi * (k + 0.5) / wheel_segments;
+      const double turn = 2 * std::numbers::pi * k / wheel_segments;
       const double radius = ring.radius == 0.285f ? wheel_radius : double(ring.radius);
       car.vertex.push_back(hub +
                            Eigen::Vector3d(radius * std::cos(turn), double(ring.y), radius * std::sin(turn)).cast<float>());

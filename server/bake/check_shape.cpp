@@ -170,6 +170,8 @@ std::vector<std::string> check_shape(const Surface& surface, const ImportOptions
     remedy = ahead == x && above == z ? "check that the file holds one whole car, and its axes with --forward and --up"
                                       : "perhaps --forward " + name_of(ahead) + " --up " + name_of(above) + ", or --forward " +
                                             name_of(-ahead) + " if its front is at the other end";
+    if (size[across] > most_width || size[up] > most_height || size[forward] < least_length)
+      remedy += "; then perhaps --scale " + likely_scale(size[forward] / options.scale);
   } else if (size.y() > most_width || size.z() > most_height) {
     fact = "it is " + metres(size.y()) + " wide and " + metres(size.z()) + " high, larger than vehicles are";
     remedy = "perhaps --scale " + likely_scale(size.x() / options.scale);
@@ -195,7 +197,11 @@ std::string check_front(const ImportedSurface& input, const ImportOptions& optio
     const size_t end = i + 1 < input.named.size() ? input.named[i + 1].first : triangle.size();
     const auto& names = input.named[i].names;
     const auto says = [&](const std::regex& words) {
-      return std::find_if(names.begin(), names.end(), [&](const std::string& name) { return has_word(words_of(name), words); });
+      return std::find_if(names.begin(), names.end(), [&](const std::string& name) {
+        std::vector<std::string> found = words_of(name);
+        for (size_t k = 1, count = found.size(); k < count; ++k) found.push_back(found[k - 1] + found[k]);  // "HeadLight"
+        return has_word(found, words);
+      });
     };
     const auto ahead = says(front), behind = says(rear);
     if ((ahead == names.end()) == (behind == names.end()) || input.named[i].first == end) continue;

@@ -1,6 +1,7 @@
 #include "bake/import_surface.h"
 
 #include <assimp/GltfMaterial.h>
+#include <assimp/commonMetaData.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
 #include <fcntl.h>
@@ -190,6 +191,10 @@ Flattened read_scene(const std::string& name) {
     while (!why.empty() && (why.back() == '\n' || why.back() == '.')) why.pop_back();
     refuse(name, "no surface can be read from it (" + why + "); export it as OBJ, glTF, GLB, STL or PLY.");
   }
+  aiString version;
+  if (scene->mMetaData && scene->mMetaData->Get(AI_METADATA_SOURCE_FORMAT_VERSION, version) && version.data[0] == '1' &&
+      name.find(".gl") != name.npos)
+    refuse(name, "it is glTF 1.0, of which Assimp misplaces nodes that are turned; export it as glTF 2.0.");
   Flattened out;
   flatten(*scene, *scene->mRootNode, Eigen::Affine3d::Identity(), 0, name, out);
   return out;
@@ -483,7 +488,7 @@ ImportedSurface import_surface(const std::filesystem::path& file, const ImportOp
                                             " read; the file's " + chosen.forward + " is forward, its " + chosen.up + " is up");
   const std::vector<std::string> shape = check_shape(out.surface, chosen);
   out.report.insert(out.report.end(), shape.begin(), shape.end());
-  out.report.push_back(check_front(out, chosen));
+  if (shape.size() == 1) out.report.push_back(check_front(out, chosen));  // else its axes are in question
   if (flat.not_triangles)
     out.report.push_back(std::to_string(flat.not_triangles) + " faces dropped that are points, lines or name missing vertices");
   return out;

@@ -3,10 +3,14 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstring>
+#include <functional>
 #include <map>
+#include <set>
 
 #include "bake/bake.h"
+#include "bake/built_in.h"
 #include "bake/load_car.h"
 #include "refusal.h"
 #include "wheeled_car.h"
@@ -254,6 +258,143 @@ TEST(CarParts, BodyAndGlassShareNoVertexAndMoveAlike) {
     EXPECT_EQ(std::memcmp(&car->model.skin[v], &car->model.skin[known->second], sizeof(Skin)), 0);
   }
   EXPECT_GT(twins, 10u) << "the edge of the roof";
+}
+
+TEST(CarParts, PanelsAreProposedByNameEachByItself) {
+  const Files files;
+  std::vector<Object> objects = car_of("Wheel_x");
+  objects.push_back({"Door_FL", "paint", box({0, 0.9f, 0.8f}, {0.4f, 0.02f, 0.3f})});
+  objects.push_back({"Door_FR", "paint", box({0, -0.9f, 0.8f}, {0.4f, 0.02f, 0.3f})});
+  objects.push_back({"bonnet", "paint", box({1.5f, 0, 1.35f}, {0.5f, 0.6f, 0.02f})});
+  objects.push_back({"DoorHandle", "paint", box({0, 0.95f, 0.9f}, {0.05f, 0.01f, 0.02f})});
+  const Divided car(write_obj(files, objects));
+  for (const char* name : {"Door_FL", "Door_FR", "bonnet"}) {
+    ASSERT_TRUE(car.part(name)) << name;
+    EXPECT_EQ(car.part(name)->kind, PartKind::panel);
+    EXPECT_EQ(car.triangles(name), 12u);
+  }
+  EXPECT_FALSE(car.part("DoorHandle"));
+  EXPECT_EQ(car.triangles("glass"), 12u);
+}
+
+std::string front_of(const ImportedSurface& surface) {
+  for (const std::string& line : surface.report)
+    if (line.find("front") != std::string::npos && line.find("forward is") == std::string::npos &&
+        (line.starts_with("front: ") || line.starts_with("warning: the front")))
+      return line;
+  return "";
+}
+
+TEST(CarParts, NamesTellWhichEndIsTheFrontAndElseItIsAsked) {
+  const Files files;
+  const auto file = write_obj(files, car_of("Wheel_x"));
+  EXPECT_TRUE(front_of(import_surface(file, {})).starts_with("front: 'HeadLight.001'")) << front_of(import_surface(file, {}));
+  const std::string turned = front_of(import_surface(file, {"-x", "z", 1}));
+  EXPECT_TRUE(turned.starts_with("warning: the front")) << turned;
+  EXPECT_NE(turned.find("--forward x"), turned.npos) << turned;
+  std::vector<Object> objects = car_of("Wheel_x");
+  objects[3].name = "thing";
+  const std::string asked = front_of(import_surface(write_obj(files, objects), {}));
+  EXPECT_NE(asked.find("--forward -x"), asked.npos) << asked;
+}
+
+TEST(CarParts, ACarKeepsTheLooksOfMaterialsThatHaveNoTexture) {
+  const Files files;
+  files.write("paint.png", "no picture, and nobody looks");
+  BakeOptions options;
+  options.nodes = 400;
+  options.mesher = Mesher::lattice;
+  options.input =
+      write_obj(files, car_of("Wheel_x"), "newmtl paint\nKd 1 1 1\nmap_Kd paint.png\nnewmtl rubber\nKd 0.5 0 0\nd 0.25\n")
+          .string();
+  const auto car = bake(options, {}).car;
+  ASSERT_EQ(car->looks.look.size(), 1u);
+  const Look& rubber = car->looks.look[0];
+  EXPECT_EQ(rubber.name, "rubber");
+  EXPECT_NEAR(rubber.color[0], std::pow(0.5, 2.2), 1e-6) << "in linear light";
+  EXPECT_EQ(rubber.color[1], 0);
+  EXPECT_EQ(rubber.color[3], 0.25f);
+  ASSERT_EQ(car->looks.of_triangle.size(), car->model.triangle.size() / 3);
+  size_t with = 0;
+  for (size_t t = 0; t < car->looks.of_triangle.size(); ++t) {
+    const bool wheel = car->parts.part[car->parts.of_vertex[car->model.triangle[3 * t]]].kind == PartKind::wheel;
+    EXPECT_EQ(car->looks.of_triangle[t], wheel ? 0 : no_look);
+    with += wheel;
+  }
+  EXPECT_EQ(with, 4 * 96u);
+  BakeOptions painted;
+  painted.input = options.input;
+  EXPECT_EQ(rebake(*car, painted).car->looks.look, car->looks.look);
+}
+
+// A car with these looks, as another program may write it.
+std::string refused_looks(const std::function<void(schema::CarT&)>& change) {
+  const auto car = wheeled_box_car().car;
+  schema::CarT file;
+  schema::GetCar(car->bytes.data())->UnPackTo(&file);
+  auto look = std::make_unique<schema::LookT>();
+  look->name = "red";
+  look->color = std::make_unique<schema::Color>(1.0f, 0.0f, 0.0f, 1.0f);
+  file.look.push_back(std::move(look));
+  file.triangle_look.assign(file.triangle.size() / 3, 0);
+  change(file);
+  flatbuffers::FlatBufferBuilder builder;
+  schema::FinishCarBuffer(builder, schema::Car::Pack(builder, &file));
+  return refusal([&] {
+    (void)read_car(std::string(reinterpret_cast<const char*>(builder.GetBufferPointer()), builder.GetSize()), "looks");
+  });
+}
+
+TEST(CarParts, WrongLooksAreRefused) {
+  EXPECT_EQ(refused_looks([](schema::CarT&) {}), "");
+  EXPECT_EQ(refused_looks([](schema::CarT& car) { car.triangle_look[3] = no_look; }), "");
+  const auto expect = [](const char* part, const std::function<void(schema::CarT&)>& change) {
+    expect_sentence(refused_looks(change), "looks", part);
+  };
+  expect("a look that does not exist", [](schema::CarT& car) { car.triangle_look[3] = 1; });
+  expect("matching lengths", [](schema::CarT& car) { car.triangle_look.pop_back(); });
+  expect("matching lengths", [](schema::CarT& car) { car.look.clear(); });
+  expect("from 0 to 1", [](schema::CarT& car) { *car.look[0]->color = schema::Color(1.5f, 0, 0, 1); });
+  expect("from 0 to 1", [](schema::CarT& car) { car.look[0]->roughness = std::nanf(""); });
+  expect("name of a look", [](schema::CarT& car) { car.look[0]->name = "\n"; });
+}
+
+TEST(CarParts, TheBuiltInCarHasWheelsGlassLightsAndSeatsAndItsBodyIsAsItWas) {
+  BakeOptions options;
+  options.input = "built-in";
+  options.nodes = 300;
+  options.mesher = Mesher::lattice;
+  const auto car = bake(options, {}).car;
+  std::map<PartKind, int> count;
+  for (const Part& part : car->parts.part) ++count[part.kind];
+  EXPECT_EQ(count[PartKind::wheel], 4);
+  for (const PartKind kind : {PartKind::glass, PartKind::light, PartKind::interior}) EXPECT_EQ(count[kind], 1);
+  const Surface body = build_car_body(1259);
+  std::set<std::array<float, 3>> there;
+  Eigen::AlignedBox3f box;
+  for (const Vec3& v : body.vertex) box.extend(v);
+  const Vec3 lifted(-box.center().x(), 0, 0.15f);  // its wheels stand on the ground
+  const auto place = [](const Vec3& v) {
+    return std::array{std::round(1e4f * v.x()), std::round(1e4f * v.y()), std::round(1e4f * v.z())};
+  };
+  for (size_t v = 0; v < car->model.vertex.size(); ++v) there.insert(place(car->model.vertex[v]));
+  float least = 1;
+  for (const Part& part : car->parts.part)
+    if (part.kind == PartKind::wheel) least = std::min(least, part.position[2] - part.radius);
+  EXPECT_NEAR(least, 0, 1e-4f);
+  size_t missing = 0;
+  for (const Vec3& v : body.vertex) missing += !there.contains(place(v + lifted));
+  EXPECT_LT(missing, 30u) << "rounding may move a few";
+}
+
+TEST(CarParts, GlTFOfVersion1IsRefused) {
+  const Files files;
+  const auto file = files.write("old.gltf", R"({"asset":{"version":"1.0"},"scene":"s","scenes":{"s":{"nodes":["n"]}},
+    "nodes":{"n":{"children":[],"meshes":["m"]}},"meshes":{"m":{"primitives":[{"attributes":{"POSITION":"a"},"mode":4}]}},
+    "accessors":{"a":{"bufferView":"v","byteOffset":0,"byteStride":12,"componentType":5126,"count":3,"type":"VEC3"}},
+    "bufferViews":{"v":{"buffer":"b","byteOffset":0,"byteLength":36,"target":34962}},
+    "buffers":{"b":{"byteLength":36,"type":"arraybuffer","uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}}})");
+  expect_sentence(refusal([&] { (void)import_surface(file, {}); }), "old.gltf", "glTF 2.0");
 }
 
 }  // namespace

@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import struct
+import urllib.parse
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -115,7 +116,7 @@ class Model:
     def fetch(self, uri: str) -> bytes:
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        beside = (self.path.parent / uri).resolve()
+        beside = (self.path.parent / urllib.parse.unquote(uri).replace("\\", "/")).resolve()
         if not beside.is_relative_to(self.path.parent.resolve()) or not beside.is_file():
             self._refuse(f"its file {uri[:80]!r} is not beside it; export it as one GLB file")
         return beside.read_bytes()
