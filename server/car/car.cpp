@@ -21,6 +21,7 @@ namespace crumple {
 namespace {
 
 constexpr uint32_t current_version = 1;
+constexpr uint32_t region_name_limit = 256;  // bytes: a forged car may name one long name again and again
 static_assert(std::endian::native == std::endian::little, "the file is read in place, and it is little endian");
 static_assert(sizeof(schema::Vec3) == sizeof(Vec3) && sizeof(schema::Tet) == sizeof(Tet) &&
               sizeof(schema::Edge) == sizeof(Edge) && sizeof(schema::Gradients) == sizeof(Gradients) &&
@@ -217,7 +218,6 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   car->owner = std::move(owner);
   car->name = file.name()->str();
   car->attribution = file.attribution()->str();
-  for (const auto* region : *file.region()) car->regions.push_back(region->str());
   if (file.source_to_car()) car->source_to_car = view<double>(file.source_to_car());
   const auto& matrix = car->source_to_car;
   if (!matrix.empty() && reinterpret_cast<uintptr_t>(matrix.data()) % alignof(double) != 0)
@@ -245,7 +245,12 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
       .center_of_mass = {file.center_of_mass()->x(), file.center_of_mass()->y(), file.center_of_mass()->z()},
       .inertia = {file.inertia()->x(), file.inertia()->y(), file.inertia()->z()},
   };
-  check(car->model, car->regions.size(), name);
+  check(car->model, file.region()->size(), name);
+  for (const auto* region : *file.region()) {
+    if (region->size() > region_name_limit)
+      refuse(name, "the name of a region is longer than " + std::to_string(region_name_limit) + " bytes");
+    car->regions.push_back(region->str());
+  }
   if (const char* why = read_parts(file, car->parts)) refuse(name, why);
   if (const char* why = read_looks(file, car->looks)) refuse(name, why);
   car->blocks = make_blocks(car->model);

@@ -23,7 +23,12 @@ std::optional<TickInputs> read_inputs(std::span<const std::byte> bytes) {
   if (bytes.empty() || !flatbuffers::Verifier(data, bytes.size()).VerifyBuffer<schema::Inputs>(nullptr)) return std::nullopt;
   const auto* from = flatbuffers::GetRoot<schema::Inputs>(data);
   TickInputs out{from->tick(), from->hash(), {}};
+  size_t left = bytes.size();
   for (const auto* input : *from->inputs()) {
+    // A forged message may name one long payload a million times.
+    const size_t size = size_t{input->key()->size()} + input->payload()->size();
+    if (size > left) return std::nullopt;
+    left -= size;
     const auto* payload = reinterpret_cast<const std::byte*>(input->payload()->data());
     // Any ticket but 0 will do: it only says that an answer is wanted.
     out.inbox.push_back({input->key()->str(), {payload, payload + input->payload()->size()}, input->is_query() ? 1u : 0u});

@@ -103,7 +103,8 @@ class Triangles {
   }
 
   void search(uint32_t at, uint32_t begin, uint32_t end, const Point& p, Found& best) const {
-    if (boxes_[at].box.distance(p) > std::max(best.distance, same_place)) return;
+    const float distance = boxes_[at].box.distance(p);
+    if (distance >= best.distance && (best.on_vertex || distance > same_place)) return;
     if (end - begin <= leaf) {
       for (uint32_t k = begin; k < end; ++k) look(order_[k], p, best);
       return;
@@ -204,8 +205,8 @@ Mapping map_vertices(std::span<const Point> vertex, std::span<const Corners> tri
     near.clear();
     for (size_t k = 0; k < 3; ++k) {
       if (found.weight[k] == 0) continue;
-      near.insert(near.end(), around.triangle.begin() + around.first[corner[k]],
-                  around.triangle.begin() + around.first[corner[k] + 1]);
+      const uint32_t begin = around.first[corner[k]], end = std::min(around.first[corner[k] + 1], begin + around_limit);
+      near.insert(near.end(), around.triangle.begin() + begin, around.triangle.begin() + end);
     }
     std::sort(near.begin(), near.end());
     near.erase(std::unique(near.begin(), near.end()), near.end());

@@ -23,6 +23,9 @@ Point unit(const Point&);  // of length 1; (0, 0, 1) if the length is 0
 inline constexpr float same_place = 1e-4f;  // m: engines convert axes and units in single precision
 // A triangle of the surface turns a normal if the angle between both is less than 60 degrees. So hard edges stay hard.
 inline constexpr float same_side = 0.5f;  // cosine
+// So many triangles around a vertex of the surface turn normals, those with the lowest indices. Cars have 6 on average, some 40
+// at most; a hostile one may have all around one vertex.
+inline constexpr uint32_t around_limit = 256;
 
 struct Mapping {
   // For each mapped vertex the triangle of the surface that it moves with: three vertices and their weights, which sum to 1.

@@ -4,6 +4,7 @@
 #include "car/car.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <cstring>
@@ -13,6 +14,7 @@
 #include "bake/load_car.h"
 #include "box_car.h"
 #include "refusal.h"
+#include "schema/car_generated.h"
 
 namespace crumple {
 namespace {
@@ -100,6 +102,43 @@ TEST(Car, SaysWhatIsWrongWithAFile) {
   expect_sentence(refusal([&] { (void)load_car(files.write("empty.car", "")); }), "empty.car", "empty");
   expect_sentence(refusal([&] { (void)load_car(files.write("text.car", "a text, not a car")); }), "text.car",
                   "not a baked car");
+}
+
+constexpr size_t region_name_limit = 256;  // bytes
+
+// The bytes of a car with `count` regions that all share one name of `size` bytes.
+std::vector<std::byte> car_of_regions(size_t count, size_t size) {
+  const auto bytes = box_car_bytes({2, 1, 1});
+  schema::CarT car;
+  schema::GetCar(bytes.data())->UnPackTo(&car);
+  car.region.assign(count, "");
+  car.region[0].assign(size, 'x');
+  flatbuffers::FlatBufferBuilder builder;
+  schema::FinishCarBuffer(builder, schema::Car::Pack(builder, &car));
+  const auto* list = schema::GetCar(builder.GetBufferPointer())->region();
+  const auto* shared = reinterpret_cast<const uint8_t*>(list->Get(0));
+  for (size_t k = 0; k < count; ++k) {
+    auto* offset = const_cast<uint8_t*>(list->Data()) + 4 * k;
+    flatbuffers::WriteScalar(offset, static_cast<flatbuffers::uoffset_t>(shared - offset));
+  }
+  const auto* begin = reinterpret_cast<const std::byte*>(builder.GetBufferPointer());
+  return {begin, begin + builder.GetSize()};
+}
+
+// 8 MB of names would take terabytes if each were copied before they are counted.
+TEST(Car, RegionsThatShareOneLongNameTakeNoMemory) {
+  const auto peak = [] {
+    rusage used;
+    getrusage(RUSAGE_SELF, &used);
+    return used.ru_maxrss / 1024;  // MiB
+  };
+  const auto bytes = car_of_regions(2'000, 1 << 20);
+  const auto before = peak();
+  expect_sentence(refusal([&] { (void)read_car(bytes, "many.car"); }), "many.car", "2000 regions");
+  EXPECT_LT(peak() - before, 100) << "MiB";
+  expect_sentence(refusal([&] { (void)read_car(car_of_regions(16, region_name_limit + 1), "long.car"); }), "long.car",
+                  "name of a region is longer than 256 bytes");
+  EXPECT_EQ(read_car(car_of_regions(16, region_name_limit), "good.car")->regions[15], std::string(region_name_limit, 'x'));
 }
 
 // Writes `value` into list `field` of a car and reads it again.

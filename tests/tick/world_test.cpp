@@ -13,6 +13,7 @@
 #include "tick/budget.h"
 #include "tick/hash.h"
 #include "tick/health.h"
+#include "tick/inputs.h"
 #include "tick/levels.h"
 #include "tick/snapshot.h"
 #include "tick/state.h"
@@ -1108,6 +1109,21 @@ TEST(Hostile, EverySingleBitFlipOfEveryMessageIsRefusedOrTakenWhole) {
       if (HasFatalFailure()) FAIL() << sample.name << " with bit " << bit << " flipped";
     }
   }
+}
+
+// 64 MB of inputs could name one payload a million times, and a standby would copy each.
+TEST(Hostile, InputsThatShareOnePayloadAreRefused) {
+  flatbuffers::FlatBufferBuilder builder;
+  const auto payload = builder.CreateVector(std::vector<uint8_t>(1 << 20));
+  const auto key = builder.CreateString("host/h/poses");
+  const std::vector<flatbuffers::Offset<schema::Input>> once = {schema::CreateInput(builder, key, payload)};
+  const Bytes one = finish(builder, schema::CreateInputsDirect(builder, 7, &once));
+  EXPECT_TRUE(read_inputs(one));
+  builder.Clear();
+  const auto again = builder.CreateVector(std::vector<uint8_t>(1 << 20));
+  const auto name = builder.CreateString("host/h/poses");
+  const std::vector<flatbuffers::Offset<schema::Input>> shared(100, schema::CreateInput(builder, name, again));
+  EXPECT_FALSE(read_inputs(finish(builder, schema::CreateInputsDirect(builder, 7, &shared))));
 }
 
 TEST(Hostile, ARefusedMessageLeavesTheWorldAsItWas) {

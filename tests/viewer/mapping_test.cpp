@@ -159,6 +159,23 @@ TEST(MapVertices, TurnedTrianglesCountLikeTheOthers) {
   for (size_t i = 0; i < normal.size(); ++i) EXPECT_GT(vector(right.facing[i]).dot(vector(mixed.facing[i])), 0.9999f);
 }
 
+// A hostile car may have all its triangles around one vertex, which is the nearest one for every vertex of the game.
+TEST(MapVertices, AFanOfManyTrianglesTurnsWithFewOfThem) {
+  constexpr uint32_t blades = 100'000;
+  Mesh fan;
+  fan.vertex.push_back({0, 0, 0});
+  for (uint32_t k = 0; k <= blades; ++k) {
+    const double angle = 6.2831853 * k / blades;
+    fan.vertex.push_back({float(std::cos(angle)), float(std::sin(angle)), 0});
+    if (k > 0) fan.triangle.push_back({0, k, k + 1});
+  }
+  const std::vector<Point> own(200, Point{0, 0, 0}), normal(200, Point{0, 0, 1});
+  const Mapping mapping = map_vertices(fan.vertex, fan.triangle, own, normal);
+  EXPECT_EQ(mapping.on_vertices, own.size());
+  EXPECT_EQ(mapping.turning.size(), own.size() * around_limit);
+  for (const Point& facing : mapping.facing) EXPECT_NEAR(facing[2], 1, 1e-5f);
+}
+
 TEST(MapVertices, TrianglesWithoutAreaDoNoHarm) {
   const std::vector<Point> vertex = {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}, {0, 0, 0}};
   const std::vector<Corners> triangle = {{0, 1, 2}, {0, 0, 0}, {3, 3, 1}};

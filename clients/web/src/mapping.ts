@@ -6,6 +6,8 @@ import type { BakedCar } from "./baked.js";
 const samePlace = 1e-4;
 /** A triangle turns a normal if the angle between both is less than 60 degrees. So hard edges stay hard. This is the cosine. */
 const sameSide = 0.5;
+/** So many triangles around a vertex turn normals, those with the lowest indices: a hostile car may have all around one vertex. */
+const aroundLimit = 256;
 const leaf = 4; // most triangles of a leaf of the tree
 
 export interface Mapping {
@@ -43,7 +45,8 @@ export function mapVertices(car: BakedCar, position: Float32Array, normal: Float
       out.corner[3 * i + k] = vertex;
       out.weight[3 * i + k] = found.weight[k];
       if (found.weight[k] === 0) continue;
-      for (let j = aroundFirst[vertex]; j < aroundFirst[vertex + 1]; ++j) {
+      const begin = aroundFirst[vertex], end = Math.min(aroundFirst[vertex + 1], begin + aroundLimit);
+      for (let j = begin; j < end; ++j) {
         if (seen[around[j]] === i) continue;
         seen[around[j]] = i;
         near.push(around[j]);
@@ -177,7 +180,8 @@ class Tree {
   }
 
   #search(node: number, begin: number, end: number, x: number, y: number, z: number, best: Found): void {
-    if (this.#away(node, x, y, z) > Math.max(best.distance, samePlace)) return;
+    const away = this.#away(node, x, y, z);
+    if (away >= best.distance && (best.onVertex || away > samePlace)) return;
     if (end - begin <= leaf) {
       for (let k = begin; k < end; ++k) this.#look(this.#order[k], [x, y, z], best);
       return;
