@@ -50,14 +50,26 @@ FIGURES = {
 }
 # Why a goal is missed, by how its row begins: what was tried, and what is not known.
 REASONS = {
-    "Camry 2018": "One scale cannot meet travel, crush and time together: the real cabin goes on while the engine has stopped, and 274 mm of its way are "
-                  "not crush. Our car is one mass.",
+    "Taurus 1986": "The real nose is flat and ours are round, so C1 and C6 of our first and last hits are too small (see the profile). Finer lattices of "
+                   "m130 and of the sedan are softer than their coarse ones.",
+    "the same with all stresses": "As above: one factor cannot serve bodies and levels that differ.",
+    "hits 3 to 5": "As above.",
+    "crush of the five hits over": "A lattice of 1,000 nodes has edges as long as the crush of the first hit.",
+    "Camry 2018": "One scale cannot meet travel and crush together: of the real cabin's 746 mm 274 are not crush, because the engine stops before it. Our "
+                  "car is one mass, and its travel is little more than its crush.",
+    "ten models": "The worst are the Corolla of 1998 and the ID.4. Their crush grows by 5 and 30 % while the energy grows by 50 and 110 %: they "
+                  "stiffen more than any one material here, and one test does not tell.",
+    "restitution at a wall": "Restitution falls with the crush; the value at 57 km/h is at the lower end of what tests give.",
+    "… at a pole": "The nose wraps round the pole and holds it.",
+    "A (kN/m)": "A is just above the tests' range, and B of two bodies just below it: our force reaches a plateau, so a line through it starts higher and rises less. A published A assumes that no car is crushed below 8 km/h.",
     "NHTSA 7292": "The rails of the real cars passed beside each other; our cars have no rails. The offset of the middles, 0.5 m, is ours: our data do not "
-                  "give it.",
-    "NHTSA 4363": "The published figures are an expert's planar fit, with a point of impact that our contact finds by itself. Our bodies have one shape for both cars.",
+                  "give it. The changes of speed and the slope of the profile agree.",
+    "NHTSA 4363": "The published figures are an expert's planar fit, whose point of impact is an input; our contact finds its own, and both our cars have "
+                  "the same shape. The yaw of the first car is the difference of two large moments.",
     "NHTSA 4438": "As for 4363.",
-    "IIHS small overlap": "A real car has no rail in its outer quarter, so it gives way there and slides past, on wheel and suspension. Ours is as strong there "
+    "IIHS small overlap": "A real car has no rail in its outer quarter: it gives way there and slides past, on wheel and suspension. Ours is as strong there "
                           "as in its middle, and stops.",
+    "crush at 50 km/h over": "Sub-steps of 4 ms see a hit of 70 ms in 17 pieces; more sub-steps converge.",
 }
 
 
@@ -173,7 +185,8 @@ def main():
     for row in rows:
         head = row["what"] if not row["what"].startswith("…") else head
         for begin, reason in REASONS.items():
-            if row in missed and head.startswith(begin) and f"- {begin}: {reason}" not in reasons:
+            about = row["what"] if row["what"].startswith("… at a pole") else head
+            if row in missed and about.startswith(begin) and f"- {begin}: {reason}" not in reasons:
                 reasons.append(f"- {begin}: {reason}")
     if reasons:
         text += ["## Why", ""] + reasons + [""]
