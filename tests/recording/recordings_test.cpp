@@ -973,7 +973,7 @@ TEST_F(Recorded, ExportMovesEveryVertexAsAViewerDoes) {
   ASSERT_EQ(outcome.code, 0) << outcome.text;
   Assimp::Importer importer;
   const aiScene* scene = importer.ReadFile(path("film/car.glb"), 0);
-  ASSERT_TRUE(scene && scene->mNumMeshes == 1) << importer.GetErrorString();
+  ASSERT_TRUE(scene && scene->mNumMeshes > 1) << importer.GetErrorString();  // one for each look, over the same vertices
   const aiMesh& body = *scene->mMeshes[0];
   ASSERT_EQ(body.mNumVertices, mesh.vertex_count);
   ASSERT_GT(body.mNumAnimMeshes, 0u);
