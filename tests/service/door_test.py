@@ -234,7 +234,7 @@ class Asker(threading.Thread):
             asked = time.monotonic()
             number = self.answered % 100
             self.session.frames(raw.request(number, ROOT + "inputs"))
-            self.session.wait_for(bytes([raw.RESPONSE_FINAL, number]))
+            self.session.wait_for_end(number)
             self.longest = max(self.longest, time.monotonic() - asked)
             self.answered += 1
             time.sleep(0.01)
@@ -286,7 +286,7 @@ class Frames(WithServer):
                 for mode in (1, 2, 3):
                     stranger.frames(raw.interest(30 + mode, key, scope=scope, mode=mode))
                 stranger.frames(raw.request(5, key, scope=scope))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # the asker gets the end of the answers
+                stranger.wait_for_end(5)  # the asker gets the end of the answers
                 sent += 8 if key else 0  # a declared key without a suffix
         self.nobody_was_deaf()
         self.refused_since(0, sent)
@@ -300,7 +300,7 @@ class Frames(WithServer):
                 for id in range(4_000):
                     stranger.frames(*(raw.declare(kind, 10_000 * n + id + 1, key.format(id)) for n, key in enumerate(several)))
                 stranger.frames(raw.request(5, ROOT + "inputs"))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
+                stranger.wait_for_end(5)  # everything has arrived
                 stranger.close()
         self.nobody_was_deaf()
         self.assertLess(self.memory(), before + 200, "MiB")
@@ -313,13 +313,13 @@ class Frames(WithServer):
             for id in range(2_500):  # 105,000 parts of keys in all
                 stranger.frames(raw.interest(id + 1, f"a{turn}/{id}" + "/x" * 12, mode=1 + id % 3, what=raw.TOKENS))
             stranger.frames(raw.request(5, ROOT + "inputs"))
-            stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))
+            stranger.wait_for_end(5)
             stranger.close()
         stranger = self.stranger()
         stranger.frames(raw.declare(raw.QUERYABLE, 1, "new/key"))
         asker = self.open()
         stranger.frames(raw.request(6, ROOT + "inputs"))
-        stranger.wait_for(bytes([raw.RESPONSE_FINAL, 6]))
+        stranger.wait_for_end(6)
         asked = asker.get("new/key", timeout=PATIENCE)
         stranger.wait_for(b"new/key")  # the server accepted the declaration, so it sends the query
         stranger.close()
@@ -335,7 +335,7 @@ class Frames(WithServer):
                 for _ in range(count // 100):
                     strangers[-1].fragments(*[piece] * 100)
                 strangers[-1].frames(raw.request(5, ROOT + "inputs"))
-                strangers[-1].wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
+                strangers[-1].wait_for_end(5)  # everything has arrived
                 for each in strangers:
                     each.send(bytes([raw.KEEP_ALIVE]))
         most = before + (800 if SANITIZED else 400)
@@ -350,10 +350,10 @@ class Frames(WithServer):
         """Zenoh keeps each query until its timeout, which is 10 s or what the asker sets."""
         silent, asker = self.stranger(), self.stranger()
         silent.frames(raw.declare(raw.QUERYABLE, 1, "crumple/silent"), raw.request(5, ROOT + "inputs"))
-        silent.wait_for(bytes([raw.RESPONSE_FINAL, 5]))
+        silent.wait_for_end(5)
         asked = time.monotonic()
         asker.frames(*(raw.request(id, "crumple/silent") for id in range(1, 5_001)))
-        asker.wait_for(bytes([raw.RESPONSE_FINAL]) + raw.number(5_000))
+        asker.wait_for_end(5_000)
         self.assertLess(time.monotonic() - asked, 8.0, "s until a question that has no room ends")
         silent.wait_for(b"crumple/silent")
         self.nobody_was_deaf()
