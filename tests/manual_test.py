@@ -18,8 +18,6 @@ import subprocess
 import sys
 import tempfile
 
-import zenoh
-
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 BUILD = pathlib.Path(sys.argv[1]).resolve()
 MANUAL = sys.argv[2]
@@ -38,11 +36,11 @@ has, says, makes = {
     "clients/python/README.md": (10, crash, ["pole16.json", "car.png"]),
     "clients/unity/README.md": (8, crash, []),
 }[MANUAL]
-programs = (r"(?:build/)?crumple|build/tests/crumple_\w+|openssl|zenohd|echo|server/setup|build/venv/bin/python|build/clients/examples/\w+|g\+\+|mcs|\./viewer|"
+programs = (r"(?:build/)?crumple|build/tests/crumple_\w+|openssl|echo|server/setup|build/venv/bin/python|build/clients/examples/\w+|g\+\+|mcs|\./viewer|"
             r"LD_LIBRARY_PATH=\S+")
 viewer = re.compile(r"^\./viewer |mono Watch\.exe ")  # ends by itself when its car is gone
-stays = re.compile(rf"crumple (serve(?!.*--(print|check)-config)|watch|view|replay .*--publish)\b|{viewer.pattern}")
-joins = re.compile(rf"crumple (watch|drive|view$|serve .*--standby)|examples/host |bin/python|mono host\.exe|{viewer.pattern}")
+stays = re.compile(rf"crumple (serve(?!.*--(print|check)-config)|router|watch|view|replay .*--publish)\b|{viewer.pattern}")
+joins = re.compile(rf"crumple (watch|drive|view$|(router|serve) .*--connect)|examples/host |bin/python|mono host\.exe|{viewer.pattern}")
 instead = {"CAR": "car.car", "m130.car": "car.car"}
 running = []
 said = ""
@@ -139,25 +137,25 @@ try:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    with zenoh.open(zenoh.Config.from_json5(f"{{mode: 'router', listen: {{endpoints: ['{endpoint}']}}}}")):
-        for i, (language, code, command) in enumerate(found):
-            if language:
-                if i > 0:
-                    run_code(language, code)
-                continue
-            if command.startswith("zenohd"):
-                continue  # the router above replaces it, and is the same code
-            if command.startswith("server/setup"):  # setup has already run; check only that these targets exist
-                command = f"ninja -C build -t query{command.removeprefix('server/setup')} >targets"
-            if command.endswith("bake built-in -o car.car"):  # takes long, so use the car of BuiltIn.IsBaked with --nodes 1000
-                command = "cp build/tests/built_in.car car.car"
-            if "killed.mcap" in command:
-                whole = (folder / "today.mcap").read_bytes()
-                (folder / "killed.mcap").write_bytes(whole[:-10_000])
-            if "arena1" in command:
-                command = re.sub(r"tcp/[a-z0-9.]+:7447", endpoint, command)
-            (run_host if "examples/host" in command else run)(command)
-        end_all()
+    for i, (language, code, command) in enumerate(found):
+        if language:
+            if i > 0:
+                run_code(language, code)
+            continue
+        if command.startswith("crumple router"):  # the second one connects to the first
+            command = re.sub(r"--connect tcp/\S+", f"--connect {endpoint}", command)
+            command = re.sub(r"--listen tcp/\S+", f"--listen {'tcp/127.0.0.1:0' if '--connect' in command else endpoint}", command)
+        if command.startswith("server/setup"):  # setup has already run; check only that these targets exist
+            command = f"ninja -C build -t query{command.removeprefix('server/setup')} >targets"
+        if command.endswith("bake built-in -o car.car"):  # takes long, so use the car of BuiltIn.IsBaked with --nodes 1000
+            command = "cp build/tests/built_in.car car.car"
+        if "killed.mcap" in command:
+            whole = (folder / "today.mcap").read_bytes()
+            (folder / "killed.mcap").write_bytes(whole[:-10_000])
+        if "arena1" in command:
+            command = re.sub(r"tcp/[a-z0-9.]+:7447", endpoint, command)
+        (run_host if "examples/host" in command else run)(command)
+    end_all()
     if MANUAL == "server/README.md":
         run("openssl verify -CAfile ca.pem server.pem")
     for made in makes:

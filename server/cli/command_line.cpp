@@ -13,6 +13,7 @@
 #include "cli/info.h"
 #include "cli/map.h"
 #include "cli/render.h"
+#include "cli/router.h"
 #include "cli/run_client.h"
 #include "fit/test_file.h"
 #include "gateway/view.h"
@@ -229,6 +230,21 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   };
 }
 
+Verb add_router(CLI::App& app, RouterOptions& options) {
+  CLI::App& verb =
+      *app.add_subcommand("router", "Connects servers, hosts and viewers: several scenes, standbys, several sites");
+  verb.add_option("--listen", options.listen,
+                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
+                  "network, by anyone unless --network says who")
+      ->capture_default_str();
+  verb.add_option("--connect", options.connect, "endpoints of other routers, comma separated")->type_name("ENDPOINTS");
+  add_network(verb, options.network, "server/router.json5");
+  verb.footer(
+      "Example: crumple router --listen tls/0.0.0.0:7447 --network router.json5\n"
+      "         crumple serve --car m130.car --connect tls/dents.example.org:7447 --network as_server.json5");
+  return [&options] { return router(options, stop); };
+}
+
 // Adds a verb of the client program beside this one, which uses only the client library.
 Verb add_client(CLI::App& app, const char* name, const char* description) {
   CLI::App& verb = *app.add_subcommand(name, description);
@@ -400,6 +416,7 @@ Verb add_render(CLI::App& app) {
 int run(int argc, const char* const* argv) {
   BakeCommandOptions bake_options;
   ServeOptions serve_options;
+  RouterOptions router_options;
   ViewOptions view_options;
   ReplayOptions replay_options;
   std::vector<std::string> info_files;
@@ -423,6 +440,7 @@ int run(int argc, const char* const* argv) {
   const std::vector<Verb> verbs = {
       add_bake(app, bake_options),
       add_serve(app, serve_options),
+      add_router(app, router_options),
       add_client(app, "drive", "A scripted host: drives a car into things and says what became of it"),
       add_client(app, "watch", "A viewer: prints once a second what it holds of each car"),
       add_view(app, view_options),

@@ -411,6 +411,33 @@ TEST(Net, AnAskerThatTakesNothingHoldsUpNoOtherAnswer) {
   EXPECT_EQ(whole[0].data.size(), more.size());
 }
 
+// A tick answers queries; it must not wait for an asker for whose answers there is no room.
+TEST(Net, AnAnswerForWhichThereIsNoRoomIsRefusedAtOnce) {
+  const char* patient =
+      "{transport: {link: {tx: {lease: 60000, queue: {congestion_control: {block: {wait_before_close: 15000000}}}}}}}";
+  Net* opened = nullptr;
+  ASSERT_EQ(net_open("peer", "tcp/127.0.0.1:0", nullptr, patient, 0, &opened), TRANSPORT_OK) << transport_error();
+  const Session server(opened);
+  ImpairedLink line(net_endpoint(server.get()), {});
+  ASSERT_EQ(net_open("client", nullptr, line.endpoint().c_str(), patient, connect_ms, &opened), TRANSPORT_OK);
+  const Session frozen(opened);
+  constexpr size_t questions = 40;
+  ASSERT_EQ(net_queryable(server.get(), "q/any", questions, NET_LONGEST), TRANSPORT_OK);
+  uint64_t ticket = 0;
+  for (size_t i = 0; i < questions; ++i) ASSERT_EQ(net_get(frozen.get(), "q/any", "", 0, 30000, &ticket), TRANSPORT_OK);
+  const std::vector<Kept> asked = collect(server, questions);
+  ASSERT_EQ(asked.size(), questions);
+  line.set(LinkState::stalled);
+  const std::string answer(size_t{10} << 20, 'x');  // 8 are being sent, 7 wait
+  const auto begun = std::chrono::steady_clock::now();
+  int refused = 0;
+  for (const Kept& question : asked)
+    refused += net_reply(server.get(), question.ticket, answer.data(), answer.size(), 0) == TRANSPORT_DROPPED;
+  EXPECT_GT(refused, 0);
+  EXPECT_LT(std::chrono::steady_clock::now() - begun, std::chrono::seconds(10));
+  line.set(LinkState::cut);
+}
+
 TEST(Net, AnswersEachTicketOnce) {
   const Session server = open_peer(), client = open_client(server);
   ASSERT_EQ(net_queryable(server.get(), "q/once", 4, NET_LONGEST), TRANSPORT_OK);

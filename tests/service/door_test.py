@@ -15,6 +15,7 @@ import random
 import re
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import unittest
@@ -40,25 +41,36 @@ def health_of(sample):
 
 
 class WithServer(unittest.TestCase):
-    def setUp(self):
-        command = [PROGRAM, "serve", "--car", CAR, "--listen", "tcp/127.0.0.1:0", "--threads", "1"]
+    def start(self, *command):
+        """Returns the process, and the endpoint that it prints."""
         environment = {**os.environ, "ASAN_OPTIONS": "quarantine_size_mb=16"}  # freed memory must not count as kept
-        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
-        self.addCleanup(self.server.kill)
-        self.endpoint = re.search(r"tcp/[0-9.:]+", self.server.stdout.readline()).group()
+        process = subprocess.Popen([PROGRAM, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+        self.addCleanup(process.kill)
+        return process, re.search(r"tcp/[0-9.:]+", process.stdout.readline()).group()
+
+    def start_server(self, *ends):
+        self.server, self.endpoint = self.start("serve", "--car", CAR, "--threads", "1", *ends)
+        self.attacked = self.server
+
+    def setUp(self):
+        self.start_server("--listen", "tcp/127.0.0.1:0")
+        self.begin()
+
+    def begin(self):
         self.healths = queue.Queue()
         self.watcher = self.open()
         # values from strangers are shorter
         self.watcher.declare_subscriber(ROOT + "health", lambda it: len(it.payload) > 99 and self.healths.put(health_of(it)))
         self.health()
 
-    def open(self):
+    def open(self, **more):
         config = zenoh.Config()
         for key, value in {
             "mode": "client",
             "connect/endpoints": [self.endpoint],
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
+            **more,
         }.items():
             config.insert_json5(key, json.dumps(value))
         session = zenoh.open(config)
@@ -76,7 +88,7 @@ class WithServer(unittest.TestCase):
         return {told.Counts(i).Name().decode(): told.Counts(i).Value() for i in range(told.CountsLength())}
 
     def memory(self):
-        status = pathlib.Path(f"/proc/{self.server.pid}/status").read_text()
+        status = pathlib.Path(f"/proc/{self.attacked.pid}/status").read_text()
         return int(re.search(r"VmRSS:\s+(\d+) kB", status).group(1)) / 1024  # MiB
 
     def end(self, kill=False):
@@ -190,6 +202,14 @@ class Door(WithServer):
         self.assertLessEqual(taken + after["keys_refused"] + after["received_dropped"], 4_000)
         self.assertEqual(after["hosts"], 0)
 
+    def test_no_stranger_chooses_who_waits_for_it(self):
+        """A receiving thread would wait to pass on a sample that must not be dropped."""
+        stranger, other, seen = self.open(), self.open(), queue.Queue()
+        other.declare_subscriber("x/y", seen.put)
+        self.ask(other, ROOT + "inputs", b"")
+        put(stranger, "x/y", b"z")
+        self.assertEqual(seen.get(timeout=PATIENCE).congestion_control, zenoh.CongestionControl.DROP)
+
     def test_a_server_that_listens_alone_heeds_no_owner(self):
         stranger = self.open()
         tokens = [stranger.liveliness().declare_token(ROOT + token)
@@ -214,7 +234,7 @@ class Asker(threading.Thread):
             asked = time.monotonic()
             number = self.answered % 100
             self.session.frames(raw.request(number, ROOT + "inputs"))
-            self.session.wait_for(bytes([raw.RESPONSE_FINAL, number]))
+            self.session.wait_for_end(number)
             self.longest = max(self.longest, time.monotonic() - asked)
             self.answered += 1
             time.sleep(0.01)
@@ -266,7 +286,7 @@ class Frames(WithServer):
                 for mode in (1, 2, 3):
                     stranger.frames(raw.interest(30 + mode, key, scope=scope, mode=mode))
                 stranger.frames(raw.request(5, key, scope=scope))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # the asker gets the end of the answers
+                stranger.wait_for_end(5)  # the asker gets the end of the answers
                 sent += 8 if key else 0  # a declared key without a suffix
         self.nobody_was_deaf()
         self.refused_since(0, sent)
@@ -280,11 +300,11 @@ class Frames(WithServer):
                 for id in range(4_000):
                     stranger.frames(*(raw.declare(kind, 10_000 * n + id + 1, key.format(id)) for n, key in enumerate(several)))
                 stranger.frames(raw.request(5, ROOT + "inputs"))
-                stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
+                stranger.wait_for_end(5)  # everything has arrived
                 stranger.close()
         self.nobody_was_deaf()
         self.assertLess(self.memory(), before + 200, "MiB")
-        self.assertGreater(self.health()["frames_refused"], 1_000, "wildcards beyond 256")
+        self.refused_since(0, 1_000)  # wildcards beyond 256
 
     def test_what_nobody_holds_any_more_is_forgotten(self):
         """Declares interest in many keys, because Zenoh once kept each of them."""
@@ -293,13 +313,13 @@ class Frames(WithServer):
             for id in range(2_500):  # 105,000 parts of keys in all
                 stranger.frames(raw.interest(id + 1, f"a{turn}/{id}" + "/x" * 12, mode=1 + id % 3, what=raw.TOKENS))
             stranger.frames(raw.request(5, ROOT + "inputs"))
-            stranger.wait_for(bytes([raw.RESPONSE_FINAL, 5]))
+            stranger.wait_for_end(5)
             stranger.close()
         stranger = self.stranger()
         stranger.frames(raw.declare(raw.QUERYABLE, 1, "new/key"))
         asker = self.open()
         stranger.frames(raw.request(6, ROOT + "inputs"))
-        stranger.wait_for(bytes([raw.RESPONSE_FINAL, 6]))
+        stranger.wait_for_end(6)
         asked = asker.get("new/key", timeout=PATIENCE)
         stranger.wait_for(b"new/key")  # the server accepted the declaration, so it sends the query
         stranger.close()
@@ -315,7 +335,7 @@ class Frames(WithServer):
                 for _ in range(count // 100):
                     strangers[-1].fragments(*[piece] * 100)
                 strangers[-1].frames(raw.request(5, ROOT + "inputs"))
-                strangers[-1].wait_for(bytes([raw.RESPONSE_FINAL, 5]))  # everything has arrived
+                strangers[-1].wait_for_end(5)  # everything has arrived
                 for each in strangers:
                     each.send(bytes([raw.KEEP_ALIVE]))
         most = before + (800 if SANITIZED else 400)
@@ -324,6 +344,18 @@ class Frames(WithServer):
         put(self.watcher, ROOT + "host/x/poses", bytes((1 << 20) + 1))  # also in pieces
         while self.health()["oversized"] == oversized:
             pass
+        self.nobody_was_deaf()
+
+    def test_what_one_stranger_asks_another_who_never_answers_is_bounded(self):
+        """Zenoh keeps each query until its timeout, which is 10 s or what the asker sets."""
+        silent, asker = self.stranger(), self.stranger()
+        silent.frames(raw.declare(raw.QUERYABLE, 1, "crumple/silent"), raw.request(5, ROOT + "inputs"))
+        silent.wait_for_end(5)
+        asked = time.monotonic()
+        asker.frames(*(raw.request(id, "crumple/silent") for id in range(1, 5_001)))
+        asker.wait_for_end(5_000)
+        self.assertLess(time.monotonic() - asked, 8.0, "s until a question that has no room ends")
+        silent.wait_for(b"crumple/silent")
         self.nobody_was_deaf()
 
     def test_half_handshakes_keep_nobody_out(self):
@@ -376,6 +408,67 @@ class Frames(WithServer):
         self.assertGreater(sessions, 50)
         most = before + (400 if SANITIZED else 100)
         self.assertLess(self.memory(), most, f"MiB after {sent} frames of {sessions} sessions")
+
+
+class Users(WithServer):
+    """One user must not take what all have together."""
+
+    def setUp(self):
+        folder = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory()))
+        (folder / "users").write_text("game:a\nplayer:b\n")
+        (folder / "network.json5").write_text(f"{{transport: {{auth: {{usrpwd: {{dictionary_file: '{folder}/users'}}}}}}}}")
+        self.start_server("--listen", "tcp/127.0.0.1:0", "--network", folder / "network.json5")
+        self.begin()
+
+    def open(self, user="game", password="a"):
+        return super().open(**{"transport/auth/usrpwd/user": user, "transport/auth/usrpwd/password": password})
+
+    def test_a_user_who_declares_keys_without_end_leaves_keys_to_others(self):
+        """Zenoh keeps 65,536 parts of keys."""
+        player = self.open("player", "b")
+        keys = [player.declare_subscriber(f"a{number}/" + "x/" * 13 + "y", lambda sample: None) for number in range(4_700)]
+        self.assertTrue(self.ask(player, ROOT + "inputs", b"")[1], "it was heard")
+        arrived = queue.Queue()
+        newcomer, other = self.open(), self.open()
+        newcomer.declare_subscriber("a/key/that/nobody/knows", lambda sample: arrived.put(bytes(sample.payload)))
+        self.ask(newcomer, ROOT + "inputs", b"")
+        put(other, "a/key/that/nobody/knows", b"hello")
+        self.assertEqual(arrived.get(timeout=PATIENCE), b"hello")
+        self.assertGreater(self.health()["frames_refused"], 1_000)
+        self.assertEqual(len(keys), 4_700)
+        player.close()
+        self.health()
+        player, refused = self.open("player", "b"), self.health()["frames_refused"]
+        again = [player.declare_subscriber(f"b{number}/" + "x/" * 13 + "y", lambda sample: None) for number in range(300)]
+        self.assertTrue(self.ask(player, ROOT + "inputs", b"")[1], "it was heard")
+        self.health()
+        self.assertEqual(self.health()["frames_refused"], refused, "what a user's session held is free when it has left")
+        self.assertEqual(len(again), 300)
+
+
+class Router(WithServer):
+    """Sends some of these frames to `crumple router`, which has the limits of a server."""
+
+    stranger, nobody_was_deaf = Frames.stranger, Frames.nobody_was_deaf
+    test_no_key_made_by_hand_ends_it = Frames.test_no_key_made_by_hand_ends_the_server
+    test_a_session_that_declared_much_and_leaves_is_noticed_by_nobody = Frames.test_a_session_that_declared_much_and_leaves_is_noticed_by_nobody
+    test_what_one_stranger_asks_another_who_never_answers_is_bounded = Frames.test_what_one_stranger_asks_another_who_never_answers_is_bounded
+
+    def setUp(self):
+        router, endpoint = self.start("router", "--listen", "tcp/127.0.0.1:0")
+        self.start_server("--connect", endpoint)
+        self.attacked = router
+        self.begin()
+        self.asker = Asker(self.endpoint)
+
+    def refused_since(self, before, least):
+        """The router tells nobody what it refused."""
+
+    def tearDown(self):
+        super().tearDown()
+        self.attacked.terminate()
+        said = self.attacked.communicate(timeout=PATIENCE)[1]
+        self.assertEqual(self.attacked.returncode, 0, said)
 
 
 if __name__ == "__main__":

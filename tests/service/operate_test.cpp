@@ -327,6 +327,24 @@ TEST_F(Guarded, ThoseWhoSpeakNoTlsKeepNobodyOut) {
   for (const int stranger : strangers) close(stranger);
 }
 
+// One user has at most half of the sessions, so it cannot keep the others out.
+TEST_F(Guarded, AUserWhoOpensSessionsWithoutEndKeepsNoOtherUserOut) {
+  constexpr int most = 8;
+  start_guarded(
+      with(server_network(), "transport: {", "transport: { unicast: { max_sessions: " + std::to_string(most) + " },"));
+  std::vector<Session> players;
+  int refused = 0;
+  for (int i = 0; i < most; ++i) {
+    Net* opened = nullptr;
+    refused += net_open("client", nullptr, endpoint.c_str(), user("player", "look-1").c_str(), 300, &opened) != 0;
+    players.emplace_back(opened);
+  }
+  EXPECT_EQ(refused, most / 2);
+  Crumple* host = open("game", user("game", "dent-1"));
+  ASSERT_NE(host, nullptr) << crumple_error();
+  spawn(host);
+}
+
 // The same as Door.ViewersThatFreeze..., with TLS: a link with TLS is closed by other code.
 TEST_F(Guarded, ViewersThatFreezeUntilTheirLinksExpireDeafenNobody) {
   const auto join = [&](const char* mode, const char* listen, const char* connect, const std::string& network) {

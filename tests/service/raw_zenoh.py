@@ -107,5 +107,11 @@ class Raw:
             pass
         return told
 
+    def wait_for_end(self, id):
+        """Waits for the end of the answers to a query. It carries the priority that the server gives to queries, or none."""
+        ends = [bytes([RESPONSE_FINAL | flag]) + number(id) for flag in (0, 0x80)]
+        while not any(end in told for told in [self.receive()] for end in ends):
+            pass
+
     def close(self):
         self.socket.close()

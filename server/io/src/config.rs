@@ -59,8 +59,9 @@ pub fn build(
                         // batches of 64 KiB; with the default of 2, bursts of 40 cars lost samples on a healthy loopback
                         "size": { "control": 16, "real_time": 16, "interactive_high": 16, "interactive_low": 16,
                                   "data_high": 16, "data": 16, "data_low": 16, "background": 16 },
-                        // µs; a peer that takes nothing for this long while an answer waits is disconnected (default: 5 s)
-                        "congestion_control": { "block": { "wait_before_close": 1_000_000 } },
+                        // µs; a peer that takes nothing for this long while an answer waits is disconnected (default: 5 s). A
+                        // router waits in a thread that also receives; a longer wait makes no room
+                        "congestion_control": { "block": { "wait_before_close": if mode == "router" { 100_000 } else { 1_000_000 } } },
                     },
                 },
                 "rx": { "max_message_size": MAX_MESSAGE + MAX_HEADERS },

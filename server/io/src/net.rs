@@ -1,5 +1,5 @@
 //! A zenoh session without callbacks to the caller. Outgoing: threads make every zenoh call that could wait. One publishes, one
-//! asks, and up to eight answer, so that an asker that takes nothing delays neither the streams nor other askers. Incoming:
+//! asks, one ends queries that get no answer, and up to eight answer, so that an asker that takes nothing delays neither the streams nor other askers. Incoming:
 //! zenoh's callbacks only copy into the bounded inbox and wake the poller. Samples are sent with Drop: a frozen subscriber
 //! loses samples, the others none.
 
@@ -102,6 +102,7 @@ struct Shared {
     open_queries: Mutex<BTreeMap<u64, Box<Waiting>>>,
     tickets: AtomicU64,
     answers: Queue<Answer>,
+    ends: Queue<Box<Waiting>>, // queries that get no answer
     answering: Mutex<Vec<JoinHandle<()>>>,
 }
 
@@ -135,6 +136,7 @@ impl Net {
             open_queries: Mutex::default(),
             tickets: AtomicU64::new(1),
             answers: Queue::new(ASK_BYTES, ASK_ITEMS),
+            ends: Queue::new(1, ASK_ITEMS),
             answering: Mutex::default(),
         });
         let puts = Arc::new(Queue::new(PUT_BYTES, PUT_ITEMS));
@@ -147,6 +149,14 @@ impl Net {
             let (session, shared, asks) = (session.clone(), shared.clone(), asks.clone());
             thread("net ask", move || ask(&session, &shared, &asks))?
         };
+        let ending = {
+            let shared = shared.clone();
+            thread("net end", move || {
+                while let Next::Item(query) = shared.ends.pop(None) {
+                    drop(query)
+                }
+            })?
+        };
         Ok(Net {
             session,
             endpoint: CString::new(endpoints.join(",")).unwrap_or_default(),
@@ -156,7 +166,7 @@ impl Net {
             asks,
             keys: Mutex::default(),
             keys_so_far: AtomicU64::new(0),
-            threads: vec![publishing, asking],
+            threads: vec![publishing, asking, ending],
             polled: Mutex::default(),
         })
     }
@@ -166,6 +176,7 @@ impl Net {
         self.puts.close();
         self.asks.close();
         self.shared.answers.close();
+        self.shared.ends.close();
         let answering = std::mem::take(&mut *self.shared.answering.lock().unwrap());
         for thread in self.threads.drain(..).chain(answering) {
             _ = thread.join();
@@ -207,7 +218,7 @@ impl Net {
         };
         check_size(key, data)?;
         let key = self.key(key)?;
-        self.puts.push(Put::Sample(key, priority, data.to_vec()), data.len()).map_err(|refused| {
+        self.puts.push(Put::Sample(key, priority, data.to_vec()), data.len()).map_err(|(refused, _)| {
             self.sent.put_dropped.fetch_add(1, Relaxed);
             refusal(refused)
         })?;
@@ -308,13 +319,13 @@ impl Net {
         }
         let index = self.keys_so_far.fetch_add(1, Relaxed);
         let key = Arc::new(Key { name: one_key(name)?, index, matching: AtomicBool::new(false) });
-        self.puts.push(Put::Declare(key.clone()), 0).map_err(refusal)?;
+        self.puts.push(Put::Declare(key.clone()), 0).map_err(|(refused, _)| refusal(refused))?;
         keys.insert(name.to_string(), key.clone());
         Ok(key)
     }
 
     fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
-        self.asks.push(ask, bytes).map_err(refusal)
+        self.asks.push(ask, bytes).map_err(|(refused, _)| refusal(refused))
     }
 }
 
@@ -471,7 +482,10 @@ fn ask(session: &Session, shared: &Arc<Shared>, asks: &Queue<Ask>) {
 
 impl Shared {
     fn answer(self: &Arc<Self>, answer: Answer, bytes: usize) -> Result<(), Refused> {
-        self.answers.push(answer, bytes)?;
+        if let Err((refused, answer)) = self.answers.push(answer, bytes) {
+            self.end(answer.query);
+            return Err(refused);
+        }
         let mut answering = self.answering.lock().unwrap();
         if self.answers.is_behind() && answering.len() < MAX_ANSWERING {
             let shared = self.clone();
@@ -479,6 +493,15 @@ impl Shared {
             answering.extend(thread("net answer", move || shared.work()));
         }
         Ok(())
+    }
+
+    /// Ends a query without an answer. zenoh sends the end in the thread that drops the query, and waits there for a link that takes
+    /// nothing. If even this queue is full, the query stays open until it is given up.
+    fn end(&self, query: Box<Waiting>) {
+        if let Err((_, query)) = self.ends.push(query, 0) {
+            let ticket = self.tickets.fetch_add(1, Relaxed);
+            self.open_queries.lock().unwrap().insert(ticket, query);
+        }
     }
 
     /// Ignores failures: an asker that is gone needs no answer.

@@ -36,14 +36,15 @@ impl<T> Queue<T> {
         Queue { state: Mutex::new(state), changed: Condvar::new(), max_bytes, max_items }
     }
 
-    /// Takes the item unless the bound is already reached; so an empty queue takes even an item larger than the bound.
-    pub fn push(&self, item: T, bytes: usize) -> Result<(), Refused> {
+    /// Takes the item unless the bound is already reached; so an empty queue takes even an item larger than the bound. A refused
+    /// item comes back.
+    pub fn push(&self, item: T, bytes: usize) -> Result<(), (Refused, T)> {
         let mut state = self.state.lock().unwrap();
         if state.closed {
-            return Err(Refused::Closed);
+            return Err((Refused::Closed, item));
         }
         if state.bytes >= self.max_bytes || state.items.len() >= self.max_items {
-            return Err(Refused::Full);
+            return Err((Refused::Full, item));
         }
         state.bytes += bytes;
         state.items.push_back((item, bytes));

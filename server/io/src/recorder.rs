@@ -135,7 +135,7 @@ impl Recorder {
     }
 
     pub fn push(&self, item: Item, bytes: usize) -> Result<(), Fail> {
-        self.queue.push(item, bytes).map_err(|refused| match refused {
+        self.queue.push(item, bytes).map_err(|(refused, _)| match refused {
             Refused::Full => {
                 Fail::new(DROPPED, "the recorder's queue of 64 MiB is full, because the disk is slower than the recording")
             }
