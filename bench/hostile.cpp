@@ -206,12 +206,25 @@ void hostile_meshes_and_materials(const Car& car, uint64_t seed, std::vector<Sce
     return [=](int, Material& m) {
       m.yield_strain = yield;
       m.hardening = hardening;
+      m.hardening_strain = 1000;
+      m.densification = 0;
       m.plastic_limit = limit;
       m.plasticity = kept;
     };
   };
   out.push_back({"yield 0, no hardening, limit 3", with(plastic, flowing(0, 0, 3, 0)), stays_dented, nullptr});
   out.push_back({"yield 0, hardening 1", with(plastic, flowing(0, 1, 3, 0)), stays_dented, nullptr});
+  const auto folding = [](float hardening_strain, float densification) {
+    return [=](int, Material& m) {
+      m.yield_strain = 0;
+      m.hardening = 1;
+      m.hardening_strain = hardening_strain;
+      m.densification = densification;
+      m.densification_strain = 0;
+    };
+  };
+  out.push_back({"hardening done at a strain of 0.001, never dense", with(plastic, folding(1e-3f, 0)), stays_dented, nullptr});
+  out.push_back({"densification 100 from the start", with(plastic, folding(1e3f, 100)), stays_dented, nullptr});
   out.push_back({"yield 0, limit 0", with(plastic, flowing(0, 0, 0, 1)), returns, nullptr});
   out.push_back({"masses 1 to 1e6, elastic", elastic, returns, unequal_car(car, seed)});
   out.push_back({"masses 1 to 1e6, plastic", plastic, stays_dented, unequal_car(car, seed)});
@@ -360,6 +373,9 @@ Material random_material(Random& random) {
   m.poisson_ratio = float(random.uniform(0, 0.45));
   m.yield_strain = float(random.uniform(0, 1));
   m.hardening = float(random.uniform(0, 1));
+  m.hardening_strain = float(random.logarithmic(1e-3, 1e3));
+  m.densification = random.chance(0.5) ? 0 : float(random.logarithmic(1e-3, 100));
+  m.densification_strain = float(random.uniform(0, 3));
   m.plastic_limit = float(random.uniform(0, 3));
   m.drag = random.chance(0.1) ? 0 : float(random.logarithmic(1, 1e9));
   m.distance_stiffness = float(random.uniform(0, 1));

@@ -24,7 +24,7 @@ inline constexpr float anchor_ratio = 30.0f;
 inline constexpr float anchor_share = 0.25f;
 
 // m: a tet lower than this does not flow. Positions in single precision a metre or two from the origin are exact to 0.1 um, so
-// its strain would be noise of at least a hundredth of the yield strain.
+// its strain would be noise of at least a tenth of the yield strain.
 inline constexpr float thinnest = 1e-3f;
 // When more than this share of all tets have lost their shape, none flows.
 inline constexpr double lost_share = 0.002;

@@ -33,8 +33,8 @@ struct Met {
 void stay_at_rest(const StepInput&, const Substep&, StepState&);
 
 // Finds the anchored nodes that nothing touches any more. Those farther than anchor_slack (m) from their rest positions go to
-// contacts.loose: their springs bring them back. The others are put back, and all are if the body has lost its shape. Putting all
-// back at once would stretch the crushed tets around them by force, with energy that nothing gave.
+// contacts.loose: their springs bring them back. The others are put back, and all are if the body has lost its shape. Putting
+// all back at once would stretch the crushed tets around them by force, with energy that nothing gave.
 inline constexpr float anchor_slack = 2e-4f;
 void hold_anchors(const Model&, const PairIndex*, ContactSet&, DeformableState&);
 

@@ -110,7 +110,7 @@ inline std::vector<std::unique_ptr<Mesh>> meshes() {
 // dense from the beginning; nearly at the plastic limit.
 inline Parameters materials() {
   Parameters parameters;
-  for (Material& material : parameters.region) material.plastic_limit = 1.2f;
+  for (Material& material : parameters.region) material.yield_strain = 0.009f, material.plastic_limit = 1.2f;
   parameters.region[1].poisson_ratio = 0.3f;
   parameters.region[1].hardening = 0.2f;
   parameters.region[1].hardening_strain = 1000;
