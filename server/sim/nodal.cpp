@@ -416,8 +416,8 @@ void for_each_touched(const ContactSet& contacts, const PairIndex* pairs, const 
   }
 }
 
-// Attaches springs to the anchored nodes that obstacles or cars reach or have reached; all springs together have at most the stiffness `most`,
-// N/m.
+// Attaches springs to the anchored nodes that obstacles or cars reach or have reached; all springs together have at most the
+// stiffness `most`, N/m.
 void stiffen_anchors(const Model& model, const Parameters& parameters, float most, const ContactSet& contacts,
                      const PairIndex* pairs, NodalSolver& solver) {
   for (size_t i = 0; i < model.node.size(); ++i) solver.rest[i] = float4(model.node[i], 0);
