@@ -74,7 +74,8 @@ public struct Parameters {
   public uint Iterations, Substeps;
   public float Tolerance;
   public int Region;
-  public float YoungModulus, PoissonRatio, YieldStrain, Hardening, PlasticLimit, Drag, Friction;
+  public float YoungModulus, PoissonRatio, YieldStrain, Hardening, PlasticLimit, Drag;
+  public float HardeningStrain, Densification, DensificationStrain, Friction;
   public float DistanceStiffness, VolumeStiffness, Plasticity;
   public static Parameters Keep { get { return Native.crumple_keep(); } }
 }

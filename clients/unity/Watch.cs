@@ -28,7 +28,7 @@ static class Watch {
       bool alive = true;
       while (alive) {
         session.Poll(0.016);  // a frame; an engine does not wait here
-        // A tenth of a second ago it was so: that moves smoothly however unevenly messages come.
+        // The surface of a tenth of a second ago: smooth even if messages come unevenly.
         vertices.Time = session.Time - 0.1;
         if (session.Copy(car, ref vertices) && vertices.Count > 0)
           Console.WriteLine("{0} vertices from {1} on changed", vertices.Count, vertices.First);

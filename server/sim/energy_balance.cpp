@@ -12,11 +12,9 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double least_share = 0.5, most_share = 2;  // of the mean impulse
-// Of the largest impulse of a group's cars. While they still come on, what is more waits until they part. Where they turn
-// round, little energy would need a large impulse, which shows as a peak of the force.
-constexpr double most_correction = 0.5, most_correction_before = 0.3;
-constexpr double slow_way = 0.3;       // m/s: slower contacts lose way, so that what is pulled down comes to rest
-constexpr double calm_seconds = 0.02;  // in which they do
+constexpr double most_correction = 0.5;              // of the largest impulse of a group's cars
+constexpr double slow_way = 0.3;                     // m/s: slower contacts lose way, so that what is pulled down comes to rest
+constexpr double calm_seconds = 0.02;                // in which they do
 
 // World axes; `angular` about the centre of mass. A force (N) and its moment (N m), or an impulse (N s, N m s).
 struct Load {
@@ -287,7 +285,7 @@ void balance(std::span<Member> island, const PairGroup& group, const Substep& no
     std::vector<Load> with = impulse;
     for (size_t k = 0; k < with.size(); ++k) with[k] = with[k] + more[k];
     const double linear = kinetic.after(with) - before - gained - square;
-    const double limit = (gained < 0 ? most_correction_before : most_correction) * most / size;
+    const double limit = most_correction * most / size;
     by = std::clamp(smallest_share(linear, square, spring - stored - gained), -limit, limit);
     for (size_t k = 0; k < impulse.size(); ++k) impulse[k] = impulse[k] + by * more[k];
   }

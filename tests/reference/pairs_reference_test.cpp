@@ -147,14 +147,14 @@ TEST(ReferencePairs, OneSubstepGivesTheSameNodesAndForces) {
       const PileUp many = press.solved(1, 1000);
       EXPECT_LT(few, 0.08);
       EXPECT_LT(answer.difference(press.solved(1, 64)), 0.05 * few);
-      EXPECT_LT(answer.difference(many), 4e-7 / way + 2e-5);  // single precision at 2 m from the origin is exact to 0.1 um
+      EXPECT_LT(answer.difference(many), 4e-7 / way + 3e-5);  // single precision at 2 m from the origin is exact to 0.1 um
       float largest = 0;
       for (const PairContact& contact : answer.contact) largest = std::max(largest, contact.pressed);
       double sum = 0, theirs = 0;
       for (const PairContact& contact : answer.contact) {
         for (const PairMemory::Touch& touch : many.cars[contact.car[0]].body.pairs.touch) {
           if (touch.node != contact.node) continue;
-          EXPECT_NEAR(touch.pressure, contact.pressed, 0.02f * largest) << "node " << touch.node;
+          EXPECT_NEAR(touch.pressure, contact.pressed, 0.03f * largest) << "node " << touch.node;
           theirs += double(touch.pressure);
         }
         sum += double(contact.pressed);
@@ -171,7 +171,7 @@ TEST(ReferencePairs, DentsOfACrashComeToTheReferenceAsTheSweepsGrow) {
     double usual, many;  // largest difference at the default settings and with few sweeps, and with 1000 sweeps
   };
   // After some 20 sub-steps without friction corners slip past edges.
-  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.015, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
+  for (const auto& [friction, whole, usual, many] : {Case{0.3f, 12, 0.02, 2e-5}, Case{0, 20, 0.05, 5e-4}}) {
     const int substeps = sanitized ? 8 : whole;                    // the reference is slow there
     const double few = sanitized ? std::max(usual, 0.05) : usual;  // an error of the first sub-steps fades only later
     SCOPED_TRACE(testing::Message() << "friction " << friction << ", " << substeps << " sub-steps");

@@ -23,7 +23,7 @@ using host::pose_at;
 constexpr int cars = 6, sweeps = 12;
 
 const std::shared_ptr<const Car>& box() {
-  static const auto car = box_car({6, 3, 2});
+  static const auto car = box_car({6, 3, 2}, 2000);  // so heavy that its sub-steps are not halved
   return car;
 }
 
@@ -197,7 +197,7 @@ TEST(Budget, TakesNoSubstepsAwayWhereATickIsOne) {
 
 // Presses a car of this many cells against a wall for its first tick, with almost no budget.
 StepResult pressed(const BoxCells& cells) {
-  const auto fine = box_car(cells);
+  const auto fine = box_car(cells, 2000);
   const WorldHandle world = make_world(60, 0.0005f);
   add_asset(*world, fine);
   Outbox outbox;

@@ -37,7 +37,7 @@ void view(const char* endpoint, const char* car) {
   bool alive = true;
   while (alive) {
     session.poll(16ms);  // a frame; an engine does not wait here
-    // A tenth of a second ago it was so, between two ticks if need be: that moves smoothly however unevenly messages come.
+    // The surface of a tenth of a second ago, between two ticks if need be: smooth even if messages come unevenly.
     vertices.time = session.time() - 0.1;
     if (session.copy(car, vertices) && vertices.count > 0) upload(buffer, vertices.first, vertices.count);
     if ((surface = session.surface(car))) alive = surface->alive;
