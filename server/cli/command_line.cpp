@@ -191,10 +191,9 @@ Verb add_serve(CLI::App& app, ServeOptions& options) {
   verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
       ->check(CLI::Range(0.001, 100.0))
       ->capture_default_str();
-  verb.add_option(
-          "--record", options.record,
-          "records the run in this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
-          "a service that starts again keeps what it recorded before")
+  verb.add_option("--record", options.record,
+                  "records the run in this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
+                  "a service that starts again keeps what it recorded before")
       ->type_name("FILE.mcap");
   verb.add_option(
           "--record-minutes", options.record_minutes,
