@@ -538,9 +538,9 @@ void begin_part(const NodalPart& part, float h) {
   aim(part);
 }
 
-// Chooses the stiffness of contacts between cars: as soft as their nodes are now, yield included. With half of it two equal boxes
-// do not bounce at 5 m/s, where a wall throws one back with 0.39 of its speed; with twice as much restitution at 50 km/h depends
-// more on the number of sub-steps (crumple_pairs).
+// Chooses the stiffness of contacts between cars: as soft as their nodes are now, yield included. With half of it two equal
+// boxes do not bounce at 5 m/s, where a wall throws one back with 0.39 of its speed; with twice as much restitution at 50 km/h
+// depends more on the number of sub-steps (crumple_pairs).
 void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::span<PairContact> contacts) {
   if (contacts.empty()) return;
   for (size_t k = 0; k < parts.size(); ++k) {
