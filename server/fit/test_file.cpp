@@ -206,7 +206,7 @@ std::vector<PublishedCar> parse_tests(std::string_view text, const std::string& 
   const std::vector<CsvRow> rows = parse_csv(text, name, most_tests + 1);
   const auto header = header_of(rows, name);
   for (const auto& [given, at] : header) {
-    if (std::none_of(std::begin(columns), std::end(columns), [&](const Column& c) { return given == c.name; }))
+    if (std::none_of(std::begin(columns), std::end(columns), [&name = given](const Column& c) { return name == c.name; }))
       refuse(name, rows[0].line, "there is no column " + shown(given) + "; `crumple fit --help` lists them");
   }
   for (const Column& column : columns) {
