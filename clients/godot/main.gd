@@ -1,4 +1,4 @@
-# A crash as one can watch it: main.tscn with the car that is named behind "--", seen from the side, until it is gone.
+# main.tscn shows the car that is named after "--" from the side, until the car is gone.
 #   godot --path clients/godot -- tcp/127.0.0.1:7447 car1
 extends Node3D
 

@@ -684,7 +684,7 @@ TEST_F(Operate, NoSenderMakesATickLong) {
   // 4000 poses and one that is too long.
   for (uint64_t i = 1; i <= 4000; ++i) put(net, "crumple/1/main/host/tester/poses", host::poses(i, {{"box", pose_at(0)}}));
   put(net, "crumple/1/main/host/tester/obstacles", Bytes((size_t{1} << 20) + 1));
-  // 5000 commands at once: each must get an answer, even if it is a refusal.
+  // 5000 commands at once: each must end, with an answer as long as there is room for answers on the way to the asker.
   const Bytes order = host::save();
   constexpr int asked = 5000;
   int done = 0, ended = 0, refused = 0;
@@ -701,7 +701,7 @@ TEST_F(Operate, NoSenderMakesATickLong) {
     EXPECT_EQ(event.failed != 0, text.find("too many questions wait") != text.npos) << text;
   };
   EXPECT_TRUE(until_raw(net, see, [&] { return ended == asked; })) << ended;
-  EXPECT_EQ(done + refused, asked);
+  EXPECT_LE(done + refused, asked);
   EXPECT_GE(done, 1000) << "so many may wait";
   EXPECT_GT(refused, 0);
   auto counts = counts_when(net, [](auto& health) { return health["oversized"] > 0 && health["queries_refused"] > 0; });
