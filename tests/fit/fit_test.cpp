@@ -170,7 +170,7 @@ TEST(TestFile, EveryRefusalNamesFileLineFactAndRemedy) {
       {head + "x,1500,,500\n", ":2:", "speed_kmh is empty"},
       {head + "\"x,1500,50,500\n", ":2:", "quotation mark"},
       {head + "\"x\"y,1500,50,500\n", ":2:", "quoted field"},
-      {head + std::string("x\0,1500,50,500\n", 17), ":2:", "zero byte"},
+      {head + std::string("x\0,1500,50,500\n", 15), ":2:", "zero byte"},
       {std::string(120, ','), ":1:", "100 fields"},
       {wide + "x,,1500,,,50,1,2,3,4,5,,,,,\n", ":2:", "all six"},
       {wide + "x,,1500,,,50,9,9,9,9,9,9,50,,,\n", ":2:", "remove one"},
