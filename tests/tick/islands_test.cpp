@@ -591,7 +591,7 @@ TEST(Islands, OfTenCarsKeepsTheBudgetByOnePlanForAll) {
     Inbox inbox = many_cars();
     for (int k = 0; k < 30; ++k) {  // else they stop long before the budget has anything to take
       inbox.push_back(
-          {"car/" + std::to_string(k), host::parameters([](auto& p) { p.add_iterations(12), p.add_tolerance(0); })});
+          {"car/" + std::to_string(k), host::parameters([](auto& p) { p.add_iterations(24), p.add_tolerance(0); })});
     }
     inbox.push_back(budget_message(budget));
     uint64_t most = 0, shed = 0;
