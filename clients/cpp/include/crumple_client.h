@@ -25,7 +25,7 @@ enum CrumpleStatus {
   CRUMPLE_DROPPED = -3,       // the session's own queue was full: not sent
   CRUMPLE_NO_ANSWER = -4,     // the server did not answer in time
   CRUMPLE_UNKNOWN = -5,       // no such car, ticket or asset
-  CRUMPLE_NO_MEMORY = -6,     // there was none left
+  CRUMPLE_NO_MEMORY = -6,     // no memory was left
   CRUMPLE_FAILED = -7,        // something else broke down: crumple_error says what
 };
 
@@ -40,7 +40,7 @@ typedef struct CrumpleOptions {
   const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" if the server has a certificate; NULL: see crumple_feed
   const char* scene;
   const char* host;     // the id under which this session moves cars; NULL: a viewer only
-  const char* network;  // JSON5 in zenoh's own form, laid over our configuration: TLS, user, password; NULL or "": none
+  const char* network;  // Zenoh configuration (JSON5) that overrides ours: TLS, user, password; NULL or "": none
 } CrumpleOptions;
 
 // Waits until the session sees the server of the scene, for at most timeout_ms. The first session of a process sets
@@ -99,13 +99,13 @@ typedef struct CrumpleSpawn {
   int planar;               // 1: the car is on its wheels, and contacts slow it in x, y and yaw only
 } CrumpleSpawn;
 
-// Begin with crumple_keep(), which keeps every parameter, and set those that should change. server/sim/material.h has their
-// ranges.
+// Begin with crumple_keep(), which keeps every parameter, and set the parameters that should change. server/sim/material.h has
+// their ranges.
 typedef struct CrumpleParameters {
   int solver;                     // 0 nodal, 1 classic; -1: keep
   uint32_t iterations, substeps;  // 0: keep
   float tolerance;                // NaN: keep
-  int region;                     // the one that the fields below are for; -1: all
+  int region;                     // index of the region for the fields below; -1: all
   float young_modulus, poisson_ratio, yield_strain, hardening, plastic_limit, drag;  // NaN: keep
   float hardening_strain, densification, densification_strain;                       // NaN: keep
   float friction;                                                                    // NaN: keep; on other cars
@@ -160,7 +160,7 @@ typedef struct CrumpleObstacle {
   float velocity[3], angular_velocity[3];  // the obstacle moves on with these
   float friction;                          // Coulomb's coefficient
 } CrumpleObstacle;
-// Sends the whole list of this host, which replaces the list before.
+// Sends the whole list of this host, which replaces its previous list.
 int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
 // Another car that touched the car of a reaction in the same tick.
@@ -195,7 +195,7 @@ size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
 // From now on the session holds the surface of this car; NULL: of every car that is there or comes. level 0: the server sends
 // the surface in every tick, in the scene's quantum; 1, for a viewer that is far away: ten times a second, in eight times that
 // quantum. Call it again to change the level, as often as you like: the session keeps the surface that it holds until the first
-// keyframe of the new level comes, which in a crash may be up to a second older.
+// keyframe of the new level comes. In a crash this keyframe may be up to a second older than that surface.
 int crumple_follow(Crumple*, const char* car, int level);
 // Gives the ids of the cars that this session holds or follows, and returns how many there are.
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
@@ -214,8 +214,8 @@ typedef struct CrumpleSurface {
 // a second, and the current surface has not come since. Then keep what you drew.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
 
-// Where crumple_copy writes 3 floats for each vertex: into separate arrays (stride 12), or into members of your vertex struct
-// (stride: its size). NULL: leave it out.
+// crumple_copy writes 3 floats for each vertex to each of these places: separate arrays (stride 12), or members of your vertex
+// struct (stride: its size). NULL: leave it out.
 typedef struct CrumpleVertices {
   float* position;      // m
   float* displacement;  // from rest, m
