@@ -30,7 +30,7 @@ void find_neighbours(const World&, const std::vector<Instance*>& cars);
 void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vector<Obstacle>& out);
 
 // Divides all cars into islands: cars that may touch one another within this tick, ascending. Most islands are one car. If an
-// island would have more than island_limit cars, those that pressed against each other in the last tick stay together first.
+// island would have more than island_limit cars, the cars that pressed against each other in the last tick stay together first.
 using Island = std::vector<Instance*>;
 std::vector<Island> find_islands(const World&, const std::vector<Instance*>& cars);
 

@@ -43,7 +43,7 @@ struct Work {
   uint64_t done = 0, shed = 0;
 };
 
-// What a tick changed in the list of cars: ids in the order of its commands. A car that was despawned and spawned again is in
+// The changes of the list of cars in a tick: ids in the order of its commands. A car that was despawned and spawned again is in
 // both lists; a car that was spawned and despawned within the tick is in neither.
 struct TickResult {
   std::vector<std::string> spawned, despawned, replaced;
