@@ -11,7 +11,7 @@ namespace crumple {
 inline constexpr size_t asset_limit = size_t{256} << 20;
 
 // An answer to a query for a baked car holds at most this many of its bytes, from the offset in the query's payload on (8
-// bytes, little endian; no payload: 0). A shorter answer is the last one. 256 KiB pass a line of 210 kbit/s within the 10 s
+// bytes, little endian; no payload: 0). A shorter answer is the last one. 256 KiB pass a link of 210 kbit/s within the 10 s
 // that a client waits, and a car of 20 MB takes 80 queries.
 inline constexpr size_t asset_piece = size_t{256} << 10;
 

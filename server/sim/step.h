@@ -36,7 +36,7 @@ struct PartnerResult {
 struct StepResult {
   Eigen::Vector3d impulse = Eigen::Vector3d::Zero();          // N s
   Eigen::Vector3d angular_impulse = Eigen::Vector3d::Zero();  // N m s
-  float deepest = 0;                                          // deepest push of an obstacle into the car, m
+  float deepest = 0;                                          // deepest push of an obstacle or a car into this car, m
   uint32_t contacts = 0;                                      // nodes held at the end of the tick
   uint32_t substeps = 0;                                      // solved sub-steps; 0: nothing was near and the body was settled
   uint32_t sweeps = 0;                                        // in all sub-steps together

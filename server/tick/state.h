@@ -39,7 +39,7 @@ struct Instance {
   DeformableState body;
   Motion motion;
   ImpulseLog log;
-  uint64_t touched_tick = 0;  // last tick in which an obstacle touched it; 0: never
+  uint64_t touched_tick = 0;  // last tick in which an obstacle or a car touched it; 0: never
   // Hashes of the large parts, kept because most cars are idle in most ticks; keyframe and latest per surface level.
   struct {
     uint64_t body = 0, log = 0;
