@@ -24,17 +24,18 @@ void on_signal(int signal) {
 
 CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
   CLI::App& verb =
-      *app.add_subcommand("drive", "Scripted hosts: drive cars into things and into each other, and say what became of them");
+      *app.add_subcommand("drive", "Scripted hosts: drive cars into obstacles and each other, and report the damage");
   verb.add_option("SCENE", options.file, "scene file; see clients/scenes and schema/scene.fbs")->required();
-  verb.add_option("--car", options.car, "baked car (file or hash), one that the server was given")->type_name("CAR");
+  verb.add_option("--car", options.car, "baked car (file or hash), one of the server's; it overrides the scene file's")
+      ->type_name("CAR");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network);
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
-  verb.add_option("--host", options.host, "id of the host that drives the cars for which the scene file names none")
+  verb.add_option("--host", options.host, "id of the host of all cars for which the scene file names no host")
       ->check(id)
       ->capture_default_str();
-  verb.add_option("--id", options.id, "id of the car, where the scene file names none; default: car")->check(id);
-  verb.add_option("--preset", options.preset, "file of parameters, laid over those of the scene; see clients/presets")
+  verb.add_option("--id", options.id, "id of the car if the scene file gives it none; default: car")->check(id);
+  verb.add_option("--preset", options.preset, "file of parameters, which override the scene's; see clients/presets")
       ->type_name("FILE");
   verb.add_option("--rate", options.rate, "poses a second; default: the scene's")->check(CLI::Range(1.0, 1000.0));
   verb.add_flag("--leave", options.leave, "leaves the cars in the scene at the end");
@@ -43,18 +44,17 @@ CLI::App& add_drive(CLI::App& app, DriveOptions& options) {
 }
 
 CLI::App& add_watch(CLI::App& app, WatchOptions& options) {
-  CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints once a second what it holds of each car");
+  CLI::App& verb = *app.add_subcommand("watch", "A viewer: prints the state of each car's surface once a second");
   verb.add_option("--connect", options.connect, "endpoint of the server")->capture_default_str();
   add_network(verb, options.network);
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->capture_default_str();
   verb.add_option("--car", options.car, "id of the one car to watch; default: all")->check(id);
-  verb.add_option("--level", options.level,
-                  "0: for a viewer that is near; 1: for one that is far, coarser and ten times a second")
+  verb.add_option("--level", options.level, "surface level. 0: near; 1: far, which is coarser and comes ten times a second")
       ->check(CLI::Range(0, 1))
       ->capture_default_str();
-  verb.add_flag("--once", options.once, "ends as soon as it holds a surface; fails if none comes in 10 s");
-  verb.add_option("--seconds", options.seconds, "ends after so long; 0: by Ctrl-C")->check(CLI::NonNegativeNumber);
-  verb.add_option("--obj", options.obj, "writes the surface that it holds at the end")->type_name("FILE.obj");
+  verb.add_flag("--once", options.once, "ends as soon as it has a surface; fails if none comes within 10 s");
+  verb.add_option("--seconds", options.seconds, "seconds until it ends; 0: it ends by Ctrl-C")->check(CLI::NonNegativeNumber);
+  verb.add_option("--obj", options.obj, "writes the last surface to this file at the end")->type_name("FILE.obj");
   verb.footer("Example: crumple watch --seconds 10 --obj dented.obj");
   return verb;
 }

@@ -35,8 +35,7 @@ inline void add_network(CLI::App& verb, std::string& text) {
     if (net_check(text.c_str()) != 0) throw CLI::FileError(path + ": " + transport_error());
   };
   verb.add_option_function<std::string>(
-          "--network", read,
-          "configuration in zenoh's own form, laid over ours: TLS, a user, certificates; see clients/network.json5")
+          "--network", read, "Zenoh configuration that overrides ours: TLS, a user, certificates; see clients/network.json5")
       ->type_name("FILE.json5");
 }
 

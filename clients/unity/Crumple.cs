@@ -254,7 +254,7 @@ public sealed class Session : IDisposable {
       return statistics;
     }
   }
-  /// Simulates a bad line from now on, to test a game on it; new Impairment() makes the line good again.
+  /// Simulates a bad link from now on, to test a game on it; new Impairment() makes the link good again.
   public void Impair(Impairment line) { Check(Native.crumple_impair(Open, ref line)); }
   /// Returns false until the first message of health, which comes within a second.
   public bool TryHealth(out Health health) { return Native.crumple_health(Open, out health) == 0; }

@@ -78,7 +78,7 @@ void add_network(CLI::App& verb, std::string& text, const char* example) {
   };
   verb.add_option_function<std::string>(
           "--network", read,
-          std::string("zenoh's own configuration, laid over ours: TLS, users, who may do what; see ") + example)
+          std::string("Zenoh configuration that overrides ours: TLS, users and their rights; see ") + example)
       ->type_name("FILE.json5")
       ->run_callback_for_default();  // the default is empty: this is only so that --print-config shows the option
 }
@@ -98,7 +98,8 @@ void add_config(CLI::App& verb) {
     }
   };
   verb.allow_config_extras(CLI::config_extras_mode::error);
-  verb.add_option_function<std::string>("--config", read, "takes options from this file, except those given here as well")
+  verb.add_option_function<std::string>("--config", read,
+                                        "reads options from this file; options on the command line override them")
       ->type_name("FILE.toml")
       ->configurable(false);
 }
@@ -112,47 +113,52 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
   BakeOptions& bake = options.bake;
   verb.add_option(
           "INPUT", bake.input,
-          "OBJ, glTF, GLB, STL, PLY, ...; or a baked car, to paint it anew: its tets and skin stay; or built-in: the car "
-          "that this program makes itself")
+          "surface file (OBJ, glTF, GLB, STL, PLY, ...); or a baked car, to paint it anew: it keeps its tets and skin; or the "
+          "word built-in: the car that this program makes itself")
       ->required();
   verb.add_option("-o,--output", options.output, "the baked car to write")->required()->type_name("CAR");
   verb.add_option(
           "--pictures", options.pictures,
-          "also draws the car into this folder, as CAR.png: its surface, its front, what is solid, hollow and anchored; the "
-          "same as `crumple render CAR -o FOLDER`")
+          "also draws the car into this folder, as CAR.png: its surface, its front, and cuts that show what is solid, hollow "
+          "and anchored; `crumple render CAR -o FOLDER` draws the same")
       ->type_name("FOLDER");
   verb.add_option("--nodes", options.nodes,
-                  "wanted number of nodes, met within 5 % by the lattice and 15 % by fTetWild; several, as in 1000,5000: "
-                  "levels of the car, in CAR-1000.car ...; "
-                  "default: 2500")
+                  "number of nodes; the lattice meets it within 5 %, fTetWild within 15 %. Several numbers, such as "
+                  "1000,5000, make several levels of the car: CAR-1000.car, CAR-5000.car. Default: 2500")
       ->delimiter(',')
       ->allow_extra_args(false)
       ->check(CLI::Range(100, 200'000));
   verb.add_option("--mesher", options.mesher,
-                  "what makes the tets. lattice: for any surface, open, in many parts or with faces turned; it fills the car, "
-                  "keeps every part, takes seconds, and gives the same file each time. ftetwild: for a closed surface in one "
-                  "part, which its tets follow more closely; of an open one it may take minutes, drop parts, or leave the car "
-                  "hollow. Default: ftetwild for a closed surface in one part, else lattice")
+                  "method that makes the tets. lattice: for any surface, also one that is open, in many pieces, or has "
+                  "faces that point inwards; it fills the car, keeps every piece, takes seconds, and gives the same file each "
+                  "time. ftetwild: for a closed surface of one piece; its tets follow the surface more closely, but with an "
+                  "open surface it may take minutes, drop pieces, or leave the car hollow. Default: ftetwild for a closed "
+                  "surface of one piece, otherwise lattice")
       ->check(CLI::IsMember({"lattice", "ftetwild"}));
-  verb.add_option("--tets", bake.tets, "tets made elsewhere, in the surface's coordinates: .msh, .mesh, .node")->check(is_file);
+  verb.add_option("--tets", bake.tets,
+                  "file with tets that another program made, in the surface's coordinates: .msh, .mesh, .node")
+      ->check(is_file);
   verb.add_option("--regions", options.regions, "file that paints regions and anchors, in the form of schema/regions.fbs")
       ->check(is_file);
   verb.add_option("--parts", options.parts,
-                  "file that says what glass, lights, wheels and interior are, in the form of schema/parts.fbs; default: the "
-                  "bake goes by names, materials and shape")
+                  "file that lists the glass, lights, wheels and other parts, in the form of schema/parts.fbs; default: the "
+                  "bake finds them by names, materials and shape")
       ->check(is_file);
-  verb.add_option("--write-parts", options.write_parts, "writes the parts to a file that --parts takes, to correct them")
+  verb.add_option("--write-parts", options.write_parts, "writes the parts to this file; correct it and give it to --parts")
       ->type_name("FILE");
-  verb.add_option("--mass", bake.mass, "kg; default: a baked car's own, else 1500")->check(CLI::Range(1.0, 100'000.0));
+  verb.add_option("--mass", bake.mass, "mass of the car, kg; default: 1500, but a baked car as input keeps its mass")
+      ->check(CLI::Range(1.0, 100'000.0));
   const CLI::IsMember axes({"x", "y", "z", "-x", "-y", "-z"});
-  verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: as its format says")
+  verb.add_option("--forward", bake.import.forward, "the input's axis that points forward; default: the axis of its format")
       ->check(axes);
-  verb.add_option("--up", bake.import.up, "the input's axis that points up; default: as its format says")->check(axes);
+  verb.add_option("--up", bake.import.up, "the input's axis that points up; default: the axis of its format")->check(axes);
   verb.add_option("--scale", bake.import.scale, "metres in one unit of the input")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  verb.add_option("--name", bake.name, "default: a baked car's own, else the input's file name");
-  verb.add_option("--attribution", bake.attribution, "whom to credit, as it must be shown");
+  verb.add_option("--name", bake.name,
+                  "name of the car; default: the input's file name, but a baked car as input keeps its name");
+  verb.add_option("--attribution", bake.attribution,
+                  "text that credits the author of the surface; every program that shows the car must show it");
   verb.footer(
       "Examples: crumple bake vehicle.gltf -o m130.car --forward -z --up y --attribution '\"130\" by mononofu, CC-BY-4.0'\n"
       "          crumple bake m130.car --regions painted.json -o painted.car\n"
@@ -162,57 +168,58 @@ Verb add_bake(CLI::App& app, BakeCommandOptions& options) {
 
 Verb add_serve(CLI::App& app, ServeOptions& options) {
   CLI::App& verb = *app.add_subcommand("serve", "Runs a scene: hosts move cars in it, viewers receive their dents");
-  verb.add_option("--car", options.cars, "baked cars that may be spawned; those of the same surface are levels of one car")
+  verb.add_option("--car", options.cars, "baked cars that hosts may spawn; cars with the same surface are levels of one car")
       ->required()
       ->check(is_file)
       ->type_name("CAR");
   verb.add_option("--scene", options.scene, "name of the scene in all keys")->check(scene)->capture_default_str();
   verb.add_option("--listen", options.listen,
-                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
-                  "network, by anyone unless --network says who")
+                  "endpoint; port 0: any free port. Only this machine reaches 127.0.0.1; every program in the network reaches "
+                  "tcp/0.0.0.0:7447, unless --network restricts it")
       ->capture_default_str();
   verb.add_option(
           "--connect", options.connect,
-          "instead of listening: endpoints of zenoh routers, comma separated; hosts and viewers connect to them as well")
+          "instead of --listen: endpoints of Zenoh routers, separated by commas; hosts and viewers connect to the same routers")
       ->type_name("ENDPOINTS");
   verb.add_flag("--standby", options.standby,
-                "holds the world of the scene's server, tick by tick, and goes on in its place when it is gone");
+                "computes the same ticks as the scene's server, and takes over when that server is gone");
   add_network(verb, options.network, "server/network.json5");
   verb.add_option("--rate", options.rate, "ticks a second")->check(CLI::Range(1.0, 1000.0))->capture_default_str();
-  verb.add_option("--threads", options.threads, "for the tick; 0: all cores. No influence on the outcome")
+  verb.add_option("--threads", options.threads,
+                  "threads that compute the tick; 0: one per core. The result does not depend on it")
       ->check(CLI::Range(0, 256))
       ->capture_default_str();
   verb.add_option("--budget", options.budget_ms,
-                  "milliseconds of a tick: beyond them cars are solved less accurately, those that matter least first; "
-                  "0: no limit")
+                  "time for the cars of one tick, ms; if it does not suffice, the server computes cars less accurately, the "
+                  "least important ones first; 0: no limit")
       ->check(CLI::NonNegativeNumber)
       ->type_name("MS")
       ->capture_default_str();
-  verb.add_option("--quantum", options.quantum_mm, "of the surface that viewers get, mm")
+  verb.add_option("--quantum", options.quantum_mm, "unit of the displacements that viewers receive, mm")
       ->check(CLI::Range(0.001, 100.0))
       ->capture_default_str();
   verb.add_option("--record", options.record,
-                  "records the run in this file; %F-%H%M%S and the like: the time of its start (UTC), as in strftime, so that "
-                  "a service that starts again keeps what it recorded before")
+                  "records the run in this file. %F-%H%M%S in the name, or other codes of strftime, becomes the time of the "
+                  "start (UTC), so a service that restarts keeps its earlier recordings")
       ->type_name("FILE.mcap");
   verb.add_option(
           "--record-minutes", options.record_minutes,
-          "goes on in another --record file after so long, which begins with the whole world and replays by itself: named by "
-          "its time, or with -2, -3, ...; 0: only when the index of one has grown to 32 MiB, or its keys to 32,768")
+          "minutes until the next --record file begins. Each file begins with the whole world and can be replayed alone; its "
+          "name has its own time, or -2, -3, ... 0: the next file begins only when the index has 32 MiB or 32,768 keys")
       ->check(CLI::Range(0.0, 60.0 * 24 * 365))
       ->capture_default_str();
   verb.add_option("--record-most", options.record_most,
-                  "gigabytes of all --record files of this run: a quarter of it fills a file, and the oldest are removed; "
-                  "0: all are kept")
+                  "most gigabytes of all --record files of this run: the server removes the oldest files, and begins the next "
+                  "file at a quarter of this size; 0: it keeps all files")
       ->check(CLI::Range(0.0, 1e6))
       ->type_name("GB")
       ->capture_default_str();
-  verb.add_option("--metrics", options.metrics, "shows what health says to Prometheus, at http://HOST:PORT/metrics")
+  verb.add_option("--metrics", options.metrics, "serves the values of health to Prometheus, at http://HOST:PORT/metrics")
       ->type_name("HOST:PORT");
-  verb.add_option("--seconds", options.seconds, "ends by itself after so long; 0: by Ctrl-C or SIGTERM")
+  verb.add_option("--seconds", options.seconds, "seconds until the server ends; 0: it ends by Ctrl-C or SIGTERM")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
-  verb.add_flag("--check-config", options.check, "says whether options, cars and network configuration are good; opens nothing")
+  verb.add_flag("--check-config", options.check, "checks the options, cars and network configuration, and ends; opens nothing")
       ->configurable(false);
   const CLI::Option* print = verb.add_flag("--print-config")
                                  ->description("prints all options as a file for --config, with comments")
@@ -233,10 +240,10 @@ Verb add_router(CLI::App& app, RouterOptions& options) {
   CLI::App& verb =
       *app.add_subcommand("router", "Connects servers, hosts and viewers: several scenes, standbys, several sites");
   verb.add_option("--listen", options.listen,
-                  "endpoint; port 0: any free one. 127.0.0.1 is reached from this machine only; tcp/0.0.0.0:7447 from the "
-                  "network, by anyone unless --network says who")
+                  "endpoint; port 0: any free port. Only this machine reaches 127.0.0.1; every program in the network reaches "
+                  "tcp/0.0.0.0:7447, unless --network restricts it")
       ->capture_default_str();
-  verb.add_option("--connect", options.connect, "endpoints of other routers, comma separated")->type_name("ENDPOINTS");
+  verb.add_option("--connect", options.connect, "endpoints of other routers, separated by commas")->type_name("ENDPOINTS");
   add_network(verb, options.network, "server/router.json5");
   verb.footer(
       "Example: crumple router --listen tls/0.0.0.0:7447 --network router.json5\n"
@@ -257,12 +264,12 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
       *app.add_subcommand("view", "Shows a scene, or a recording, in browsers: a page with every car and its dents");
   CLI::Option* file =
       verb.add_option("FILE", options.files,
-                      "a recording, played again and again; two: beside each other, their difference as colours; "
+                      "a recording, which is played in a loop; or two, side by side, with their differences as colours; "
                       "default: a server's scene")
           ->check(is_file)
           ->expected(0, 2)
           ->type_name("FILE.mcap");
-  CLI::Option* speed = verb.add_option("--speed", options.speed, "of the recording: 1 is as it was")
+  CLI::Option* speed = verb.add_option("--speed", options.speed, "speed of the recording; 1: real speed")
                            ->needs(file)
                            ->check(CLI::Range(0.01, 100.0))
                            ->capture_default_str();
@@ -270,14 +277,15 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
   add_network(verb, options.network, "clients/network.json5");
   verb.add_option("--scene", options.scene, "name of the server's scene")->check(scene)->excludes(file)->capture_default_str();
   verb.add_option("--listen", options.listen,
-                  "of the page; port 0: any free one. 127.0.0.1 is reached from this machine only; 0.0.0.0:8080 also from a "
-                  "phone in the same network, and from whoever else is in it")
+                  "address of the page; port 0: any free port. Only this machine reaches 127.0.0.1; every device in the same "
+                  "network, for example a phone, reaches 0.0.0.0:8080")
       ->type_name("HOST:PORT")
       ->capture_default_str();
   verb.add_flag("--control", options.control,
-                "lets browsers command the scene too: tune, repair, paint and replace any car; without it they only look")
+                "lets browsers also change the scene: tune, repair, paint and replace any car; without it they only watch")
       ->excludes(file);
-  verb.add_option("--page", options.page, "the page; default: web/index.html beside the program")->type_name("FILE.html");
+  verb.add_option("--page", options.page, "the page to serve; default: web/index.html beside the program")
+      ->type_name("FILE.html");
   verb.footer(
       "Examples: crumple view\n          crumple view --control\n          crumple view today.mcap --speed 0.25\n          "
       "crumple view before.mcap after.mcap");
@@ -291,19 +299,24 @@ Verb add_view(CLI::App& app, ViewOptions& options) {
 Verb add_replay(CLI::App& app, ReplayOptions& options) {
   CLI::App& verb = *app.add_subcommand("replay", "Runs recordings again and compares every tick, or plays them to viewers");
   verb.add_option("FILE", options.files, "recordings")->required()->check(is_file);
-  CLI::Option* verify =
-      verb.add_flag("--verify", options.verify,
-                    "feeds the inputs to a fresh world; fails at the first tick that differs in its hash or in what it gave");
-  CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the outputs to viewers");
-  verb.add_option("--threads", options.threads, "of --verify; 0: all cores")->check(CLI::Range(0, 256))->capture_default_str();
-  verb.add_option("--listen", options.listen, "of --publish: endpoint")->needs(publish)->capture_default_str();
+  CLI::Option* verify = verb.add_flag(
+      "--verify", options.verify, "feeds the inputs to a fresh world; fails at the first tick whose hash or messages differ");
+  CLI::Option* publish = verb.add_flag("--publish", options.publish, "sends the recorded outputs to viewers");
+  verb.add_option("--threads", options.threads, "threads for --verify; 0: one per core")
+      ->check(CLI::Range(0, 256))
+      ->capture_default_str();
+  verb.add_option("--listen", options.listen, "for --publish: endpoint to which viewers connect")
+      ->needs(publish)
+      ->capture_default_str();
   add_network(verb, options.network, "server/network.json5");
-  verb.add_option("--speed", options.speed, "of --publish: 1 is as it was")
+  verb.add_option("--speed", options.speed, "for --publish: speed; 1: real speed")
       ->needs(publish)
       ->check(CLI::Range(0.01, 100.0))
       ->capture_default_str();
-  verb.add_option("--from", options.from, "of --publish: seconds to skip")->needs(publish)->check(CLI::NonNegativeNumber);
-  verb.add_flag("--loop", options.loop, "of --publish: again and again, until Ctrl-C")->needs(publish);
+  verb.add_option("--from", options.from, "for --publish: seconds to skip at the start")
+      ->needs(publish)
+      ->check(CLI::NonNegativeNumber);
+  verb.add_flag("--loop", options.loop, "for --publish: plays in a loop, until Ctrl-C")->needs(publish);
   verb.footer(
       "Examples: crumple replay recordings/*.mcap --verify\n          crumple replay today.mcap --publish --speed 0.1 --loop");
   verb.callback([verify, publish] {
@@ -313,8 +326,8 @@ Verb add_replay(CLI::App& app, ReplayOptions& options) {
 }
 
 Verb add_info(CLI::App& app, std::vector<std::string>& files) {
-  CLI::App& verb = *app.add_subcommand("info", "Says what is in a recording or a baked car");
-  verb.add_option("FILE", files, "recordings, baked cars")->required()->check(is_file);
+  CLI::App& verb = *app.add_subcommand("info", "Describes a recording or a baked car");
+  verb.add_option("FILE", files, "recordings or baked cars")->required()->check(is_file);
   verb.footer("Example: crumple info recordings/built_in_pole.mcap");
   return [&files] { return info(files); };
 }
@@ -324,14 +337,13 @@ struct MapOptions {
 };
 
 Verb add_map(CLI::App& app, MapOptions& options) {
-  CLI::App& verb = *app.add_subcommand("map", "Says how well a mesh of a game fits a baked car whose dents it is to show");
+  CLI::App& verb = *app.add_subcommand("map", "Measures how well a game's own mesh fits a baked car, whose dents it will show");
   verb.add_option("CAR", options.car, "baked car")->required()->check(is_file);
   verb.add_option("MESH", options.mesh, "mesh file, in the coordinates of the file from which the car was baked")
       ->required()
       ->check(is_file);
   verb.footer(
-      "A game maps its own vertices itself, with crumple_map of the client library. This verb shows beforehand whether another "
-      "level "
+      "A game maps its own vertices itself, with crumple_map of the client library. This verb shows beforehand whether a level "
       "of detail, or a mesh that was changed after the bake, will follow the dents.\n"
       "Example: crumple map car.car car_lod1.glb");
   return [&options] { return map_mesh(options.car, options.mesh); };
@@ -339,43 +351,48 @@ Verb add_map(CLI::App& app, MapOptions& options) {
 
 Verb add_fit(CLI::App& app, FitCommandOptions& options) {
   CLI::App& verb = *app.add_subcommand("fit", "Finds a car's material from published crash tests, and writes it as a preset");
-  verb.add_option("CAR", options.cars, "baked car; with several levels the coarsest is fitted, the others check it")
+  verb.add_option("CAR", options.cars, "baked car; of several levels the coarsest is fitted, and the others check the result")
       ->required()
       ->check(is_file);
-  verb.add_option("--tests", options.tests, "the tests; see below")->required()->check(is_file)->type_name("TESTS.csv");
+  verb.add_option("--tests", options.tests, "table of crash tests; see below")
+      ->required()
+      ->check(is_file)
+      ->type_name("TESTS.csv");
   verb.add_option("-o,--output", options.output, "the preset to write, for `crumple drive --preset`")
       ->required()
       ->type_name("PRESET.json");
-  verb.add_flag("--scale", options.scale, "fits only the scale of all stresses, whatever the tests are");
-  verb.add_option("--about", options.about, "what the preset says of itself; default: the tests' names");
-  verb.add_option("--picture", options.picture, "also draws published crush and force beside ours")->type_name("FILE.png");
+  verb.add_flag("--scale", options.scale, "fits only the scale of all stresses, even if the tests would give more");
+  verb.add_option("--about", options.about, "description of the preset; default: the names of the tests");
+  verb.add_option("--picture", options.picture, "also draws our crush and force beside the published ones")
+      ->type_name("FILE.png");
   verb.footer(
-      "TESTS.csv is a table of crashes into a rigid wall, one hit a row. The first row names its columns. Lines that begin "
-      "with "
-      "# are comments. This one is of a car that was hit three times (NHTSA tests 1201 to 1203, Ford Taurus 1986):\n\n"
+      "TESTS.csv is a table of crashes into a rigid wall, one hit in each row. The first row names its columns. Lines that "
+      "begin "
+      "with # are comments. In this example a car was hit three times (NHTSA tests 1201 to 1203, Ford Taurus 1986):\n\n"
       "  test,car,mass_kg,width_mm,speed_kmh,damage_mm,c1_mm,c2_mm,c3_mm,c4_mm,c5_mm,c6_mm\n"
       "  1201,taurus,1591,1768,15.5,1664,25,51,76,79,71,48\n"
       "  1202,taurus,1591,1768,31.9,1664,170,201,221,224,213,173\n"
       "  1203,taurus,1591,1768,32.3,1664,320,353,373,376,366,333\n\n"
-      "The car is scaled to length and width of each test. Columns (empty cells are allowed unless it says always):\n\n" +
+      "The baked car is scaled to the length and width of each test. Columns (a cell may be empty, except in columns with "
+      "\"always\"):\n\n" +
       explain_columns() +
       "\nOne test, or only A and B, gives one constant: the scale of all stresses. A pulse, or three hits of one car, gives "
       "all "
-      "constants. It takes seconds: some ten runs for each constant. NHTSA's vehicle crash test database has such tests of "
-      "thousands of cars.\n"
+      "constants. A fit takes seconds: it computes each test some ten times for each constant. NHTSA's vehicle crash test "
+      "database has such tests of thousands of cars.\n"
       "Example: crumple fit car-1000.car car-5000.car --tests clients/presets/classes/mid_size.csv -o mine.json --picture "
       "mine.png");
   return [&options] { return fit_command(options); };
 }
 
 Verb add_recover(CLI::App& app, RecoverOptions& options) {
-  CLI::App& verb =
-      *app.add_subcommand("recover", "Makes a whole recording of one that was cut off or damaged, up to its last tick");
-  verb.add_option("FILE", options.input, "the recording; it is only read")->required()->check(is_file);
+  CLI::App& verb = *app.add_subcommand(
+      "recover", "Makes a whole recording from one that was cut off or damaged, up to its last intact tick");
+  verb.add_option("FILE", options.input, "the damaged recording, which stays as it is")->required()->check(is_file);
   verb.add_option("-o,--output", options.output, "the whole recording to write")->required()->type_name("FILE.mcap");
   verb.footer(
-      "After a kill, a crash or a power cut. crumple reads a cut recording as it is; other MCAP tools need the index at the "
-      "end.\n"
+      "Use it after a kill, a crash or a power cut. crumple itself reads a cut recording as it is; other MCAP tools need the "
+      "index at the end.\n"
       "Example: crumple recover killed.mcap -o whole.mcap");
   return [&options] { return recover(options); };
 }
@@ -385,14 +402,15 @@ Verb add_export(CLI::App& app, ExportOptions& options, std::string& model) {
       *app.add_subcommand("export", "Writes a recording for other programs: glTF films, OBJ surfaces, a table of reactions");
   verb.add_option("FILE", options.file, "recording")->required()->check(is_file);
   verb.add_option("-o,--output", options.folder,
-                  "for CAR.glb (morph targets and motion), CAR_TICK.obj (where it changed, in the car's frame), reactions.csv")
+                  "folder for CAR.glb (a film: morph targets and motion), CAR_TICK.obj (each changed surface, in the car's "
+                  "frame), and reactions.csv")
       ->required()
       ->type_name("FOLDER");
-  verb.add_option("--fps", options.fps, "frames a second of the recording; those in which nothing changed are left out")
+  verb.add_option("--fps", options.fps, "frames a second of the recording; frames without a change are left out")
       ->check(CLI::Range(0.1, 1000.0))
       ->capture_default_str();
   verb.add_option("--mesh", model,
-                  "the glTF file from which the cars were baked: CAR.glb then has its vertices, materials and textures")
+                  "the glTF file from which the cars were baked; CAR.glb then has its vertices, materials and textures")
       ->check(is_file)
       ->type_name("MODEL.glb");
   verb.footer("Example: crumple export today.mcap -o today");
@@ -403,8 +421,8 @@ Verb add_export(CLI::App& app, ExportOptions& options, std::string& model) {
 }
 
 Verb add_render(CLI::App& app) {
-  CLI::App& verb =
-      *app.add_subcommand("render", "Draws a recording: slow motion, a contact sheet, charts; or a baked car: what is solid");
+  CLI::App& verb = *app.add_subcommand(
+      "render", "Draws a recording (slow motion, a contact sheet, charts) or a baked car (cuts that show what is solid)");
   verb.set_help_flag();
   verb.prefix_command();
   return [&verb] { return render(verb.remaining()); };
@@ -434,14 +452,14 @@ int run(int argc, const char* const* argv) {
       "  crumple serve --car car.car --record today.mcap\n"
       "  crumple view\n"
       "  crumple drive clients/scenes/pole.json --car car.car\n"
-      "then: crumple replay today.mcap --verify\n"
-      "Each verb explains itself: crumple VERB --help");
+      "Then: crumple replay today.mcap --verify\n"
+      "crumple VERB --help explains each verb.");
   const std::vector<Verb> verbs = {
       add_bake(app, bake_options),
       add_serve(app, serve_options),
       add_router(app, router_options),
-      add_client(app, "drive", "A scripted host: drives a car into things and says what became of it"),
-      add_client(app, "watch", "A viewer: prints once a second what it holds of each car"),
+      add_client(app, "drive", "Scripted hosts: drive cars into obstacles and each other, and report the damage"),
+      add_client(app, "watch", "A viewer: prints the state of each car's surface once a second"),
       add_view(app, view_options),
       add_replay(app, replay_options),
       add_info(app, info_files),

@@ -15,13 +15,13 @@ inline constexpr std::string_view key_root = "crumple/1/";  // the protocol and 
 inline constexpr std::string_view asset_root = "crumple/1/asset/";
 inline constexpr size_t id_length_limit = 32;  // characters
 inline constexpr size_t surface_level_count = 2;
-// Largest epoch: a takeover each second for thirty years. So the next epoch can always be counted.
+// Largest epoch: enough for a takeover each second for thirty years. So adding 1 to an epoch never overflows.
 inline constexpr uint64_t epoch_limit = 1'000'000'000;
 
 // Whether this may name a scene, host, car or server: 1 to 32 characters of a-z A-Z 0-9 _ -
 bool is_id(std::string_view);
 inline constexpr const char* id_rule = "1 to 32 characters of a-z A-Z 0-9 _ -";
-// Whether this may name a scene: an id other than "asset", because the keys of baked cars are below "asset" and have no scene.
+// Whether this may name a scene: any id except "asset", because the keys of baked cars have "asset" in the place of a scene.
 bool is_scene(std::string_view);
 // Whether this may name a baked car: 16 hexadecimal digits, lower case.
 bool is_hash(std::string_view);
@@ -46,7 +46,7 @@ enum class Channel : uint8_t {
   server,          // the token of a scene that has a server
   owner,           // owner/{epoch}-{server}: the token of the server whose ticks count
   standby,         // standby/{rank}-{server}: the token of a server that waits
-  other            // only in recordings: not ours
+  other            // only in recordings: a channel of another program
 };
 inline bool is_input(Channel channel) { return channel <= Channel::command; }
 

@@ -14,8 +14,8 @@ namespace crumple {
 using Bytes = std::vector<std::byte>;
 
 // The root table if every offset below it is valid; otherwise null. The bytes must be aligned to 8, as zenoh's and the
-// recorder's are. tables: the most tables that the message may have; a forged message could name a single table a million
-// times.
+// recorder's are. tables: the most tables that the message may have, because a forged message could name a single table a
+// million times.
 template <class Table>
 const Table* verified(std::span<const uint8_t> bytes, uint32_t tables = 1'000'000) {
   flatbuffers::Verifier::Options options;
@@ -30,7 +30,7 @@ const Table* verified(std::span<const std::byte> bytes, uint32_t tables = 1'000'
 }
 
 inline constexpr flatbuffers::voffset_t sequence_field = 4;  // the first field of Poses and of Obstacles
-// The sequence of a host's poses or obstacles, of which nothing else is verified; none if the bytes are no table.
+// Reads the sequence of a host's poses or obstacles, and verifies nothing else of them. Returns none if the bytes are no table.
 inline std::optional<uint64_t> sequence_of(std::span<const std::byte> bytes) {
   struct Sequence : flatbuffers::Table {
     bool Verify(flatbuffers::Verifier& verifier) const {

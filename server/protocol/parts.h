@@ -32,7 +32,7 @@ struct Parts {
   std::span<const uint8_t> of_vertex;  // empty if there are no parts; it points into the car's bytes
 };
 
-// What a material of the source looks like, as in glTF; numbers from 0 to 1, colours in linear light.
+// The looks of a material of the source, as in glTF; numbers from 0 to 1, colours in linear light.
 struct Look {
   std::string name;
   std::array<float, 4> color{1, 1, 1, 1};  // red, green, blue, opacity

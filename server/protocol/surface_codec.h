@@ -17,9 +17,9 @@
 
 namespace crumple {
 
-// How finely and how often viewers receive a surface. Level 0 is for near viewers. Level 1 is for far viewers: its error of
-// half of 4 mm on each axis is one pixel of 1,920 over 90 degrees from 4 m on, and it sends ten times a second, as games do for
-// the positions of far players.
+// The precision and rate at which viewers receive a surface. Level 0 is for near viewers. Level 1 is for far viewers. Its error
+// (half of 4 mm on each axis) is one pixel from a distance of 4 m on, if the view has 1,920 pixels over 90 degrees. It sends
+// ten times a second, as games do for the positions of far players.
 struct SurfaceLevel {
   int quanta;      // its quantum, in quanta of the scene
   uint64_t ticks;  // between messages while the car moves; a car that comes to rest is sent at once
@@ -28,11 +28,11 @@ inline constexpr std::array<SurfaceLevel, surface_level_count> surface_levels = 
 
 inline constexpr uint32_t surface_node_limit = 200'000;  // the same limit as for a baked car
 inline constexpr size_t part_size = 64'000;     // bytes: every keyframe or delta is shorter, so it travels in one batch
-inline constexpr uint32_t part_nodes = 10'000;  // 61,250 bytes if nothing can be compressed
+inline constexpr uint32_t part_nodes = 10'000;  // of a part: 61,250 bytes if nothing can be compressed
 
 // Packs numbers of three axes as schema/message.fbs describes: `now`, or its differences from `then` if `then` is not empty.
 std::vector<uint16_t> pack(std::span<const int16_t> now, std::span<const int16_t> then);
-// Returns 3 `count` numbers; nothing if the words do not hold exactly these.
+// Returns 3 * `count` numbers; nothing if the words do not hold exactly these.
 std::optional<std::vector<int16_t>> unpack(std::span<const uint16_t> words, uint32_t count);
 
 // XXH64 of the quanta, little endian, seed 0.

@@ -14,7 +14,7 @@
 
 namespace crumple {
 
-// What the body keeps of other cars: where it touched them in the last sub-step, and which ones were near.
+// The body's memory of other cars: its contacts with them in the last sub-step, and the cars that were near.
 struct PairMemory {
   struct Touch {
     uint64_t partner;  // Member::key of the other car

@@ -59,7 +59,7 @@ struct ContactSet {
   bool is_first(const Contact& c) const { return first[c.node] == size_t(&c - contact.data()) + 1; }
 };
 
-// What a car meets in this tick if it and all obstacles move on steadily.
+// The obstacles that a car meets in this tick if it and all obstacles move on steadily.
 struct Encounter {
   bool near = false;  // a node may meet an obstacle
   // The body's bounding box meets an obstacle, and the two move against each other. Obstacles that the car passes, drives along

@@ -15,11 +15,11 @@ inline constexpr float settle_speed = 2e-3f;
 // After a sub-step of h seconds: stores each node's displacement from `before`, and whether the body is at rest.
 void settle(float h, std::span<const Vec3> before, DeformableState&);
 
-// What touches a settled body in a sub-step.
+// The obstacles and cars that touch a settled body in a sub-step.
 struct Met {
   bool any = false;
   float deepest = 0;  // how deep an obstacle or a car enters it, m
-  float moved = 0;    // how far what touches it moves along it, m
+  float moved = 0;    // how far they move along it, m
 
   void add(const Contact&, const DeformableState&);
   void add(const PairContact&);

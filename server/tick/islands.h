@@ -1,4 +1,4 @@
-// Which cars may touch one another: found once a tick, in the order of the cars' ids, before the cars are advanced.
+// Finds the cars that may touch one another: once a tick, in the order of the cars' ids, before the cars are advanced.
 #pragma once
 
 #include <span>
@@ -8,19 +8,18 @@
 
 namespace crumple {
 
-// Most cars that one car notices around it, and so may touch: those that pressed against it in the last tick, then those that
-// come nearest in this tick. More than these can hardly touch it, unless they stand inside each other. It passes through
-// others.
+// Most cars that one car notices, and so may touch: first the cars that pressed against it in the last tick, then the cars that
+// come nearest in this tick. More cars can hardly touch it, unless they stand inside each other. It passes through all others.
 inline constexpr size_t neighbour_limit = 16;
 // Most cars of an island. They are solved together by one worker, which keeps 1 MB for each car of 1,000 nodes and 5 MB for
 // each of 5,000. Cars that are in different islands because of this limit pass through each other.
 inline constexpr size_t island_limit = 128;
 
-// Names a car to the others in all ticks.
+// The key by which other cars know a car, in all ticks.
 uint64_t key_of(const std::string& id);
 
-// Lets all cars forget that they touched cars that were placed in this tick, so that no force of the last tick goes on, and it
-// is tested anew whether the cars stand inside each other. Cars that pass through each other do so until they have parted.
+// Lets all cars forget their contacts with cars that were placed in this tick: no force of the last tick goes on, and the tick
+// tests anew whether these cars stand inside each other. Cars that pass through each other do so until they have parted.
 void forget_placed(const std::vector<Instance*>& cars);
 
 // Fills Instance::near with the cars that may come near within the time that a car looks ahead. Two cars that stand and do not
@@ -31,11 +30,11 @@ void find_neighbours(const World&, const std::vector<Instance*>& cars);
 void add_boxes(const std::vector<Instance*>& cars, const Instance& car, std::vector<Obstacle>& out);
 
 // Divides all cars into islands: cars that may touch one another within this tick, ascending. Most islands are one car. If an
-// island would have more than island_limit cars, those that pressed against each other in the last tick stay together first.
+// island would have more than island_limit cars, the cars that pressed against each other in the last tick stay together first.
 using Island = std::vector<Instance*>;
 std::vector<Island> find_islands(const World&, const std::vector<Instance*>& cars);
 
-// Per car of an island: the cars of the island that it notices, as positions in the island, ascending.
+// For each car of an island: the cars of the island that it notices, as positions in the island, ascending.
 std::vector<std::vector<uint32_t>> near_in(std::span<Instance* const> island);
 
 }  // namespace crumple

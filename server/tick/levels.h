@@ -19,7 +19,7 @@ size_t coarser_levels(const World&, const std::string& asset);
 
 inline constexpr double notice = 0.5;  // s: a car may change its level this long before something can touch it
 
-// Finds what is about to touch the car, so that it may change its level. woken: an obstacle wakes the car in this tick.
+// Finds the things that are about to touch the car, so that it may change its level. woken: an obstacle wakes it in this tick.
 void look_ahead(const World&, Instance&, std::span<const Obstacle>, bool woken);
 // Sets next_level of the cars that change their level now and returns these cars. The level follows from the car's importance,
 // or is a coarser one that fits the budget.

@@ -1,7 +1,7 @@
-// Host and server both move a car: the host along its intended path, the server where contacts stop it. Each learns late what
-// the other did. In: the car's own motion, the host's intent, and the velocity changes by contacts since the tick that the host
-// has seen. Out: the motion from which the tick starts. Law: an impulse that the host has not seen is never lost or counted
-// twice.
+// Host and server both move a car: the host along its intended path, the server where contacts stop it. Each learns late of the
+// other's changes. In: the car's own motion, the host's intent, and the velocity changes by contacts since the tick that the
+// host has seen. Out: the motion from which the tick starts. Law: an impulse that the host has not seen is never lost or
+// counted twice.
 #pragma once
 
 #include <array>

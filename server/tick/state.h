@@ -25,7 +25,7 @@ namespace crumple {
 // An asset, then its coarser levels: the assets with the same surface and fewer nodes, in descending order.
 using Levels = std::vector<std::shared_ptr<const Car>>;
 
-// What is about to touch a free car: nothing, something that stands still beside it, or something that may hit it.
+// Whether something is about to touch a free car: nothing, a thing that stands still beside it, or a thing that may hit it.
 enum class Ahead : uint8_t { nothing, neighbour, hit };
 
 struct Instance {
@@ -39,13 +39,13 @@ struct Instance {
   DeformableState body;
   Motion motion;
   ImpulseLog log;
-  uint64_t touched_tick = 0;  // last tick in which an obstacle touched it; 0: never
+  uint64_t touched_tick = 0;  // last tick in which an obstacle or a car touched it; 0: never
   // Hashes of the large parts, kept because most cars are idle in most ticks; keyframe and latest per surface level.
   struct {
     uint64_t body = 0, log = 0;
     std::array<uint64_t, surface_levels.size()> keyframe{}, latest{};
   } hashes;
-  std::array<ViewerState, surface_levels.size()> told;
+  std::array<ViewerState, surface_levels.size()> told;  // what viewers received last, per surface level
   // Limits and result of the last tick; the budget of this tick follows from them.
   uint16_t sweeps = 0;    // most sweeps per sub-step
   uint16_t substeps = 0;  // in 1/60 s: as the parameters say, or fewer
@@ -54,11 +54,11 @@ struct Instance {
   // True if the last tick left the car unchanged and none of its inputs has changed since, so this tick can be skipped.
   bool idle = false;
   // Used within one tick:
-  bool placed = false;  // a command made its body anew, or its host put it elsewhere: no crash brought it to where it is
+  bool placed = false;  // a command made its body anew, or its host put it elsewhere, so no crash brought it to its place
   std::optional<Intent> intent;                    // the latest; consumed
   Eigen::Vector3d pull = Eigen::Vector3d::Zero();  // acceleration that its host gives it while it touches something, m/s^2
   Ahead ahead = Ahead::nothing;
-  uint64_t key = 0;                       // names the car to those that it touches: hash of its id
+  uint64_t key = 0;                       // names the car to the cars that it touches: hash of its id
   std::vector<uint32_t> near;             // positions (`order`) of the cars that may come near
   float width = 0;                        // width of the narrowest near obstacle, m
   std::shared_ptr<const Car> next_level;  // the level to change to; null: no change

@@ -16,7 +16,7 @@ inline constexpr uint64_t keyframe_interval = 60;  // ticks between keyframes wh
 // negative and sum to 1, so no vertex is off by more than half a quantum on each axis.
 void quantise(std::span<const Vec3> displacement, float quantum, std::span<int16_t> quanta);
 
-// What the viewers of one car at one surface level received last.
+// The last messages that the viewers of one car received at one surface level.
 struct ViewerState {
   std::vector<int16_t> keyframe;  // quanta of the last keyframe
   std::vector<int16_t> latest;    // quanta of the last message

@@ -17,7 +17,7 @@ struct Message {
   std::string key;
   std::vector<std::byte> bytes;
   uint64_t ticket = 0;  // of a query, repeated in its answer; 0 for samples
-  bool failed = false;  // of an answer: the bytes are a schema Answer with the reason, not the reply asked for
+  bool failed = false;  // of an answer: the bytes are not the reply, but a schema Answer with the reason
 };
 
 using Inbox = std::vector<Message>;
@@ -43,8 +43,8 @@ struct Work {
   uint64_t done = 0, shed = 0;
 };
 
-// What a tick changed in the list of cars: ids in the order of its commands. A car that was despawned and spawned again is in
-// both lists; a car that was spawned and despawned within the tick is in none.
+// The changes of the list of cars in a tick: ids in the order of its commands. A car that was despawned and spawned again is in
+// both lists; a car that was spawned and despawned within the tick is in neither.
 struct TickResult {
   std::vector<std::string> spawned, despawned, replaced;
   std::vector<size_t> latest;  // the messages of the inbox that are the latest poses or obstacles of their host now
@@ -62,8 +62,8 @@ std::vector<std::string> cars(const World&);
 std::vector<std::string> hosts(const World&);
 // Number of ticks done. The first tick is 1, so 0 can mean none.
 uint64_t tick_count(const World&);
-// Sets the clock for the times in health: seconds since any moment. Several threads call it at once. Without a clock health has
-// no times.
+// Sets the clock for the times in health. It returns seconds since any moment, and several threads call it at once. Without a
+// clock health has no times.
 void set_clock(World&, std::function<double()> clock);
 
 }  // namespace crumple

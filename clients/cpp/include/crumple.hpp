@@ -1,6 +1,6 @@
-// crumple_client.h for C++. A session closes itself, its functions throw errors, and its commands wait for their answer. This
-// is one header, and you link nothing but the library. A session converts to its handle: pass it to those functions of
-// crumple_client.h that have no member here. Lifetimes, units and threads are as crumple_client.h says.
+// crumple_client.h for C++. A session closes itself, its functions throw errors, and its commands wait for their answer. You
+// need only this header and the library. A session converts to its handle: pass it to the functions of crumple_client.h that
+// have no member here. crumple_client.h explains lifetimes, units and threads.
 #pragma once
 
 #include <algorithm>
@@ -19,18 +19,18 @@
 
 namespace crumple::client {
 
-// One sentence: what crumple_error() says, or why the server refused a command.
+// The sentence of crumple_error(), or the server's reason for a refusal.
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Gives the status back, or throws it where it is an error.
+// Returns the status, or throws an Error if it is negative.
 inline int need(int status) {
   if (status < 0) throw Error(crumple_error());
   return status;
 }
 
-// As CrumpleOptions has them.
+// See CrumpleOptions.
 struct SessionOptions {
   std::string connect = "tcp/127.0.0.1:7447";  // empty: no network, crumple_feed gives all messages
   std::string scene = "main";
@@ -59,7 +59,7 @@ class Session {
     return need(crumple_poll(*this, uint64_t(std::max<int64_t>(0, wait.count()))));
   }
 
-  // Commands. Each returns the tick in which the server did it. If the server refuses, it throws the server's sentence.
+  // Commands. Each returns the tick in which the server executed it, and throws the server's sentence if the server refuses.
   uint64_t spawn(const std::string& car, const std::string& asset, const CrumpleSpawn& spawn) {
     uint64_t ticket = 0;
     need(crumple_spawn(*this, car.c_str(), asset.c_str(), &spawn, &ticket));
@@ -166,7 +166,7 @@ class Session {
     return need(crumple_part_pose(*this, car.c_str(), part, time, &pose)) == CRUMPLE_OK ? std::optional(pose) : std::nullopt;
   }
 
-  // Simulates a bad line, to test a game on it; {} makes the line good again.
+  // Simulates a bad link, to test a game on it; {} makes the link good again.
   void impair(const CrumpleImpairment& line) { need(crumple_impair(*this, &line)); }
 
   // The server's time now, s; 0 while the session does not know it.

@@ -25,7 +25,7 @@ enum CrumpleStatus {
   CRUMPLE_DROPPED = -3,       // the session's own queue was full: not sent
   CRUMPLE_NO_ANSWER = -4,     // the server did not answer in time
   CRUMPLE_UNKNOWN = -5,       // no such car, ticket or asset
-  CRUMPLE_NO_MEMORY = -6,     // there was none left
+  CRUMPLE_NO_MEMORY = -6,     // no memory was left
   CRUMPLE_FAILED = -7,        // something else broke down: crumple_error says what
 };
 
@@ -40,7 +40,7 @@ typedef struct CrumpleOptions {
   const char* connect;  // "tcp/127.0.0.1:7447"; "tls/HOST:7447" if the server has a certificate; NULL: see crumple_feed
   const char* scene;
   const char* host;     // the id under which this session moves cars; NULL: a viewer only
-  const char* network;  // JSON5 in zenoh's own form, laid over our configuration: TLS, user, password; NULL or "": none
+  const char* network;  // Zenoh configuration (JSON5) that overrides ours: TLS, user, password; NULL or "": none
 } CrumpleOptions;
 
 // Waits until the session sees the server of the scene, for at most timeout_ms. The first session of a process sets
@@ -62,26 +62,26 @@ typedef struct CrumpleStatistics {
 } CrumpleStatistics;
 void crumple_statistics(const Crumple*, CrumpleStatistics* out);
 
-// The server's time now, s, as in CrumpleReaction. The session takes it from the message of the last one or two seconds that
-// travelled fastest, so it may be late by the time that a message travels, and may step a little. 0: no message has come yet.
+// The server's time now, s, as in CrumpleReaction. The session estimates it from the fastest message of the last one or two
+// seconds, so the time may be late by the time that a message travels, and may step a little. 0: no message has come yet.
 // Without a network it is the time of the newest tick.
 double crumple_time(const Crumple*);
 
-// Simulates a bad line, to test a game on it. From now on the session delays or loses the poses that it sends and everything
-// that is published to it: each message by itself, so that messages overtake each other. Poses leave with the next
+// Simulates a bad link, to test a game on it. From now on the session delays or loses the poses that it sends, and every
+// message that the server publishes: each message by itself, so messages overtake each other. Poses leave with the next
 // crumple_poll. The same seed draws the same numbers. Commands, queries and their answers are not impaired. If all fields are
-// 0, the line is good again as soon as the delayed messages have come.
+// 0, the link is good again as soon as the delayed messages have come.
 typedef struct CrumpleImpairment {
   float delay, jitter;  // s, one way: each message takes between delay - jitter and delay + jitter, drawn evenly; up to 60
-  float loss, repeat;   // shares of the messages, 0 to 1, that the line loses, and that come twice
+  float loss, repeat;   // shares of the messages, 0 to 1, that the link loses, and that come twice
   uint32_t seed;
 } CrumpleImpairment;
 int crumple_impair(Crumple*, const CrumpleImpairment*);
 
-// Gives a message to a session without a network, which was opened without `connect`: from a recording, in a test, or by
-// another way to carry messages. key: the key of the message, which is its topic in a recording. The session ignores a message
-// that it does not follow. A malformed message changes nothing and returns CRUMPLE_BAD_ARGUMENT. If the session does not hold
-// the keyframe of a delta, it counts that in CrumpleStatistics.asked: give it the keyframe.
+// Gives a message to a session without a network, which was opened without `connect`. The message may come from a recording, a
+// test, or a transport of your own. key: the key of the message, which is its topic in a recording. The session ignores
+// messages about cars that it does not follow. A malformed message changes nothing and returns CRUMPLE_BAD_ARGUMENT. If the
+// session does not hold the keyframe of a delta, it increases CrumpleStatistics.asked: give it the keyframe.
 int crumple_feed(Crumple*, const char* key, const void* bytes, size_t size);
 
 // ---- commands: each function gives a ticket, and crumple_poll takes in the answer
@@ -99,13 +99,13 @@ typedef struct CrumpleSpawn {
   int planar;               // 1: the car is on its wheels, and contacts slow it in x, y and yaw only
 } CrumpleSpawn;
 
-// Begin with crumple_keep(), which keeps every parameter, and set those that should change. server/sim/material.h has their
-// ranges.
+// Begin with crumple_keep(), which keeps every parameter, and set the parameters that should change. server/sim/material.h has
+// their ranges.
 typedef struct CrumpleParameters {
   int solver;                     // 0 nodal, 1 classic; -1: keep
   uint32_t iterations, substeps;  // 0: keep
   float tolerance;                // NaN: keep
-  int region;                     // the one that the fields below are for; -1: all
+  int region;                     // index of the region for the fields below; -1: all
   float young_modulus, poisson_ratio, yield_strain, hardening, plastic_limit, drag;  // NaN: keep
   float hardening_strain, densification, densification_strain;                       // NaN: keep
   float friction;                                                                    // NaN: keep; on other cars
@@ -119,13 +119,13 @@ int crumple_despawn(Crumple*, const char* car, uint64_t* ticket);
 // amount: the share of the damage that the server takes away, in [0, 1].
 int crumple_repair(Crumple*, const char* car, float amount, uint64_t* ticket);
 int crumple_set_parameters(Crumple*, const char* car, const CrumpleParameters*, uint64_t* ticket);
-// The answer has the deformation of the car as its state. crumple_load gives that to any car of the same asset.
+// The state in the answer is the car's deformation. crumple_load gives this state to any car of the same asset.
 int crumple_save(Crumple*, const char* car, uint64_t* ticket);
 int crumple_load(Crumple*, const char* car, const void* state, size_t size, uint64_t* ticket);
 
 typedef struct CrumpleAnswer {
   int ok;
-  uint64_t tick;         // in which the server did it
+  uint64_t tick;         // in which the server executed the command
   const char* sentence;  // if ok is 0: why the server refused
   const uint8_t* state;  // the answer to crumple_save
   size_t state_size;
@@ -160,14 +160,14 @@ typedef struct CrumpleObstacle {
   float velocity[3], angular_velocity[3];  // the obstacle moves on with these
   float friction;                          // Coulomb's coefficient
 } CrumpleObstacle;
-// Sends the whole list of this host, which replaces the list before.
+// Sends the whole list of this host, which replaces its previous list.
 int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
 // Another car that touched the car of a reaction in the same tick.
 typedef struct CrumplePartner {
   const char* car;
   const char* host;   // of that car
-  float impulse[3];   // what it gave the car of the reaction, N s, world; that car got the opposite
+  float impulse[3];   // on the car of the reaction, N s, world; the other car got the opposite
   uint32_t contacts;  // between the two at the end of the tick
 } CrumplePartner;
 
@@ -179,10 +179,10 @@ typedef struct CrumpleReaction {
   CrumplePose pose;                      // at the end of the tick
   float velocity[3], angular_velocity[3];
   double energy_absorbed, energy_stored;  // J since spawn
-  float deepest;                          // m
+  float deepest;                          // largest push of a node in this tick, m
   uint32_t contacts;
   uint32_t partner_count;  // 0: no car touched it
-  // Sorted by the id of the car. What they and obstacles gave adds up to `impulse`. Valid until the next
+  // Sorted by the id of the car. Their impulses and those of obstacles add up to `impulse`. Valid until the next
   // crumple_take_reactions.
   const CrumplePartner* partners;
 } CrumpleReaction;
@@ -195,7 +195,7 @@ size_t crumple_take_reactions(Crumple*, CrumpleReaction* out, size_t capacity);
 // From now on the session holds the surface of this car; NULL: of every car that is there or comes. level 0: the server sends
 // the surface in every tick, in the scene's quantum; 1, for a viewer that is far away: ten times a second, in eight times that
 // quantum. Call it again to change the level, as often as you like: the session keeps the surface that it holds until the first
-// keyframe of the new level comes, which in a crash may be up to a second older.
+// keyframe of the new level comes. In a crash this keyframe may be up to a second older than that surface.
 int crumple_follow(Crumple*, const char* car, int level);
 // Gives the ids of the cars that this session holds or follows, and returns how many there are.
 size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
@@ -203,7 +203,7 @@ size_t crumple_cars(const Crumple*, const char** ids, size_t capacity);
 typedef struct CrumpleSurface {
   uint64_t tick;          // the newest tick of which the session holds every part
   uint64_t hash;          // XXH64 of the displacements in quanta, equal to the server's
-  uint32_t node_count;    // nodes that the skin uses: those that a vertex moves with
+  uint32_t node_count;    // number of nodes that the skin uses: vertices move with them
   float quantum;          // m; of the level that the session holds
   const char* asset;      // hash of the baked car
   const int16_t* quanta;  // 3 for each node: displacement from rest in quanta, car's frame
@@ -214,8 +214,8 @@ typedef struct CrumpleSurface {
 // a second, and the current surface has not come since. Then keep what you drew.
 int crumple_surface(Crumple*, const char* car, CrumpleSurface* out);
 
-// Where crumple_copy writes 3 floats for each vertex: into separate arrays (stride 12), or into members of your vertex struct
-// (stride: its size). NULL: leave it out.
+// crumple_copy writes 3 floats for each vertex to each of these places: separate arrays (stride 12), or members of your vertex
+// struct (stride: its size). NULL: leave it out.
 typedef struct CrumpleVertices {
   float* position;      // m
   float* displacement;  // from rest, m
@@ -248,7 +248,7 @@ typedef struct CrumpleMesh {
 } CrumpleMesh;
 // Returns CRUMPLE_PENDING until the asset has come. The pointers stay valid as long as the session.
 int crumple_mesh(Crumple*, const char* asset, CrumpleMesh* out);
-// Takes a baked car that you have as a file, so that the server need not send it. hash: its name for crumple_spawn.
+// Takes a baked car that you have as a file, so that the server need not send it. hash: receives its hash for crumple_spawn.
 int crumple_add_asset(Crumple*, const void* car, size_t size, char hash[17]);
 
 enum CrumplePartKind {
@@ -261,8 +261,8 @@ enum CrumplePartKind {
   CRUMPLE_POINT,     // a place without vertices, to which you attach something
 };
 
-// A part of a car, with a frame of its own: the place of the frame at rest, in the car's frame. A wheel has its hub there and
-// turns about y of the frame; other parts have the middle of their vertices there.
+// A part of a car. It has a frame of its own; position and orientation are the frame's at rest, in the car's frame. The origin
+// is the hub of a wheel, which turns about y of its frame, and the middle of the vertices of other parts.
 typedef struct CrumplePart {
   const char* name;
   int kind;              // CrumplePartKind
@@ -300,9 +300,9 @@ typedef struct CrumpleOwnMesh {
 } CrumpleOwnMesh;
 // Binds each vertex of your mesh to the surface of a baked car. With the mapping crumple_copy moves your vertices and turns
 // your normals and tangents: in your order, with your seams and hard edges. At rest it gives your numbers. Map every mesh and
-// every level of detail once; all get the same dents. The vertices of a wheel move rigidly with it. Wheels that the baked car
-// does not have as parts: leave them out, and place them yourself. mapping: a number, valid as long as the session; a session
-// has at most 1024. Returns CRUMPLE_PENDING until the asset has come.
+// every level of detail once; all get the same dents. The vertices of a wheel move rigidly with it. Leave out wheels that are
+// not parts of the baked car, and place them yourself. mapping: a number, valid as long as the session; a session has at most
+// 1024. Returns CRUMPLE_PENDING until the asset has come.
 int crumple_map(Crumple*, const char* asset, CrumpleOwnMesh*, uint32_t* mapping);
 
 typedef struct CrumpleHealth {

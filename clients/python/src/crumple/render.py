@@ -590,25 +590,25 @@ def _mesh_mass(recording: Recording, asset: str) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(
         prog="crumple render", formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-        description="Draws a recording as an animation in slow motion, a contact sheet and charts. Draws a baked car as one picture of "
-        "what is solid, hollow and anchored, and where its front is.",
+        description="Draws a recording as an animation in slow motion, a contact sheet and charts. Draws a baked car as one picture: "
+        "an arrow points to its front, and cuts show what is solid, hollow and anchored.",
         epilog="Examples: crumple render today.mcap -o pictures --speed 0.1; crumple render car.car -o pictures")
     none: dict[str, Any] = {"default": argparse.SUPPRESS}
     parser.set_defaults(output="", start=None, to=None, cars=None, mesh=None)
-    parser.add_argument("recording", metavar="FILE", help="the recording, or the baked car: of a car only -o applies")
+    parser.add_argument("recording", metavar="FILE", help="a recording or a baked car; for a baked car -o is the only option")
     parser.add_argument("-o", "--output", metavar="FOLDER",
-                        help="where it writes (default: the name of FILE without its ending)", **none)
+                        help="folder for the pictures (default: the name of FILE without its ending)", **none)
     parser.add_argument("--from", metavar="S", dest="start", type=float,
-                        help="it begins here, s (default: shortly before each crash)", **none)
-    parser.add_argument("--to", metavar="S", type=float, help="it ends here, s (default: shortly after each crash)", **none)
+                        help="start of the animation, s (default: shortly before each crash)", **none)
+    parser.add_argument("--to", metavar="S", type=float, help="end of the animation, s (default: shortly after each crash)", **none)
     parser.add_argument("--speed", metavar="TIMES", type=number(0.001, 100), default=0.25,
                         help="speed of the animation, as a multiple of the real speed")
     parser.add_argument("--fps", metavar="N", type=number(1, 60), default=15, help="frames a second of the animation")
-    parser.add_argument("--cars", metavar="ID", nargs="+", help="the cars that it draws (default: all that are hit)", **none)
-    parser.add_argument("--mesh", metavar="MODEL.glb", help="the glTF file from which the cars were baked: it draws them, with its "
-                        "materials and textures", **none)
+    parser.add_argument("--cars", metavar="ID", nargs="+", help="cars to draw (default: all cars that are hit)", **none)
+    parser.add_argument("--mesh", metavar="MODEL.glb", help="the glTF file from which the cars were baked; the pictures show "
+                        "the cars with its materials and textures", **none)
     parser.add_argument("--size", metavar="WxH", type=size_of, default="960x540", help="size of the animation, pixels")
-    parser.add_argument("--sheet", action="store_true", help="leave out the animation, which is quicker")
+    parser.add_argument("--sheet", action="store_true", help="leave out the animation, to save time")
     parser.add_argument("--frames", action="store_true", help="write every frame as a PNG too")
     options, bare = parser.parse_args(), parser.parse_args(["FILE"])
     options.of_recordings = any(vars(options)[name] != value for name, value in vars(bare).items() if name not in ("recording", "output"))

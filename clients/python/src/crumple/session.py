@@ -171,7 +171,7 @@ class View:
         return Health(out.tick, out.late, out.rate, out.tick_ms, out.worst_ms, out.refusals)
 
     def impair(self, delay: float = 0, jitter: float = 0, loss: float = 0, repeat: float = 0, seed: int = 0) -> None:
-        """Simulates a bad line from now on, to test a game on it: the session delays (s) or loses (shares) the poses that it
+        """Simulates a bad link from now on, to test a game on it: the session delays (s) or loses (shares) the poses that it
         sends and everything that is published to it. Without arguments the line is good again."""
         line = ffi.new("CrumpleImpairment*", {"delay": delay, "jitter": jitter, "loss": loss, "repeat": repeat, "seed": seed})
         check(lib.crumple_impair(self._handle, line))
