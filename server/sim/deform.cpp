@@ -236,7 +236,7 @@ void deform(std::span<Member> island, Timer* timer) {
       begin.push_back(member.state.motion);
       member.scratch.backup.taken = false;
       find_candidates(member.input, member.state.body, member.state.motion, member.scratch.contacts, travel[k]);
-      closing = std::max(closing, double(travel[k]) / member.input.seconds);
+      closing = std::max(closing, 0.5 * double(travel[k]) / member.input.seconds);  // each car takes half of the way
     }
   }
   if (near.empty() && nothing_happens(island)) {

@@ -21,6 +21,11 @@ struct Block {
   Mat3 hessian;
 };
 
+// Between cars: the last two sweeps must have changed the pressures by no more than this share (rms).
+constexpr double pressed_share = 0.02;
+// Stiffness of a contact between cars, as a share of what its nodes have.
+constexpr float pair_softness = 0.5f;
+
 // Planes push a node at most this many times as far as the deepest of them. Two planes at a sharp angle would otherwise send it
 // to where they meet, far from the car.
 constexpr float farthest_push = 5;
@@ -535,12 +540,12 @@ void begin_part(const NodalPart& part, float h) {
   mark_lanes(blocks, contacts, pairs, solver);
   wake_blocks(blocks, settle_speed * h, held, body, solver);
   solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
+  if (!pairs && !body.pairs.touch.empty()) body.history = {};  // it has pressures of a car that is gone
   aim(part);
 }
 
-// Chooses the stiffness of contacts between cars: as soft as their nodes are now, yield included. With half of it two equal
-// boxes do not bounce at 5 m/s, where a wall throws one back with 0.39 of its speed; with twice as much restitution at 50 km/h
-// depends more on the number of sub-steps (crumple_pairs).
+// Chooses the stiffness of contacts between cars: half as stiff as their nodes are now, yield included. As stiff as they are,
+// or stiffer, cars that still move on when the sweeps end are crushed less and bounce less (crumple_pairs).
 void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::span<PairContact> contacts) {
   if (contacts.empty()) return;
   for (size_t k = 0; k < parts.size(); ++k) {
@@ -558,7 +563,8 @@ void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::s
     const auto &first = parts[contact.car[0]].solver.pair_stiffness, &second = parts[contact.car[1]].solver.pair_stiffness;
     float compliance = 1 / first[contact.node];
     for (int k = 0; k < 3; ++k) compliance += contact.weight[k] * contact.weight[k] / second[contact.corner[k]];
-    contact.stiffness = 1 / compliance;
+    contact.stiffness = pair_softness / compliance;
+    contact.start_pressure = contact.pressure;
   }
 }
 
@@ -591,14 +597,40 @@ void sweep(std::span<const NodalPart> parts, std::span<const NodeView> views, st
   }
 }
 
-// Moves what the last sweeps left of the gaps into the multipliers.
-void press_pairs(std::span<const NodalPart> parts, std::span<PairContact> contacts) {
+// The w of a node that touches another car is the pressure of its contact as a length, pressure / stiffness. So the
+// acceleration mixes pressures with positions, and the residual has both.
+float& pressed_depth(std::span<NodalPart> parts, const PairContact& contact) {
+  return parts[contact.car[0]].solver.node[contact.node].w;
+}
+
+// Before a solver step.
+void write_pressures(std::span<NodalPart> parts, std::span<const PairContact> contacts) {
+  if (contacts.empty()) return;
+  for (NodalPart& part : parts) {
+    for (Float4& node : part.solver.node) node.w = 0;
+  }
+  for (const PairContact& contact : contacts) pressed_depth(parts, contact) = contact.pressure / contact.stiffness;
+}
+
+// After the sweeps of a step: moves what they left of the gaps into the pressures. Returns the rms change of the pressures as a
+// share of what they are, or were when the sub-step began if that is more.
+double press_pairs(std::span<NodalPart> parts, std::span<PairContact> contacts) {
+  double change = 0, now = 0, start = 0;  // N^2
   for (PairContact& contact : contacts) {
     const Vec3 node = vec(parts[contact.car[0]].solver.node[contact.node]);
     const PairForce force = pair_force(contact, node, point_of(contact, parts[contact.car[1]].solver));
-    contact.pressure = force.normal;
+    pressed_depth(parts, contact) = force.normal / contact.stiffness;
     contact.rub = force.friction;
+    change += double(force.normal - contact.pressure) * double(force.normal - contact.pressure);
+    now += double(force.normal) * double(force.normal);
+    start += double(contact.start_pressure) * double(contact.start_pressure);
   }
+  return change > 0 ? std::sqrt(change / std::max(now, start)) : 0;
+}
+
+// After the acceleration has undone a step or mixed it with others.
+void read_pressures(std::span<NodalPart> parts, std::span<PairContact> contacts) {
+  for (PairContact& contact : contacts) contact.pressure = std::max(0.0f, pressed_depth(parts, contact) * contact.stiffness);
 }
 
 // After the last sweep, which moved nothing: the forces between cars.
@@ -695,19 +727,21 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
   const int iterations = std::max_element(parts.begin(), parts.end(), most)->input.parameters.iterations;
   int done = 0;
   while (done < iterations) {
-    for (size_t k = 0; k < parts.size(); ++k) {
-      NodalSolver& solver = parts[k].solver;
-      solver.step_start = solver.node;
-      steps[k].before = solver.step_start;
-      update_stiffness(*parts[k].input.model.blocks, solver);
-    }
+    for (NodalPart& part : parts) update_stiffness(*part.input.model.blocks, part.solver);
     if (done == 0) stiffen_pairs(parts, views, contacts);
+    write_pressures(parts, contacts);
+    for (size_t k = 0; k < parts.size(); ++k) {
+      parts[k].solver.step_start = parts[k].solver.node;
+      steps[k].before = parts[k].solver.step_start;
+    }
     for (int k = 0; k < sweeps_a_step && done < iterations; ++k, ++done) sweep(parts, views, contacts);
+    const bool pressed = press_pairs(parts, contacts) <= pressed_share;
     compare(steps);
-    if (parts.front().solver.last_step.compared) press_pairs(parts, contacts);  // else the step was undone
-    if (std::all_of(parts.begin(), parts.end(), [&](NodalPart& part) { return is_solved(part, h); })) break;
+    read_pressures(parts, contacts);
+    if (pressed && std::all_of(parts.begin(), parts.end(), [&](NodalPart& part) { return is_solved(part, h); })) break;
     if (done < iterations) {
       mix(steps);
+      read_pressures(parts, contacts);
       for (const NodalPart& part : parts) keep_still(*part.input.model.blocks, part.solver);
     }
   }

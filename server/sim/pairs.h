@@ -28,11 +28,12 @@ struct PairContact {
   float motion;         // the node's way over the triangle by the motion of the frames alone, m
 
   // Of the solver:
-  float stiffness = 0;            // N/m
-  float pressure = 0;             // N, >= 0
-  Vec3 rub = Vec3::Zero();        // friction, N, frame of car[1]
-  Vec3 start_rub = Vec3::Zero();  // friction at the start of the sub-step
-  Vec3 seen_node, seen_point;     // where both were when the sweep began, each in its frame, m
+  float stiffness = 0;       // N/m
+  float pressure = 0;        // N, >= 0
+  Vec3 rub = Vec3::Zero();   // friction, N, frame of car[1]
+  float start_pressure = 0;  // both at the start of the sub-step
+  Vec3 start_rub = Vec3::Zero();
+  Vec3 seen_node, seen_point;  // where both were when the sweep began, each in its frame, m
 
   // At the end:
   float pressed = 0;          // normal force, N

@@ -144,10 +144,10 @@ TEST(ReferencePairs, OneSubstepGivesTheSameNodesAndForces) {
       const Answer answer = reference(press, 1);
       EXPECT_GT(answer.depth, 0.7 * way);
       const double few = answer.difference(press.solved(1, 8));
-      const PileUp many = press.solved(1, 1000);
+      const PileUp many = press.solved(1, 2000);
       EXPECT_LT(few, 0.08);
       EXPECT_LT(answer.difference(press.solved(1, 64)), 0.05 * few);
-      EXPECT_LT(answer.difference(many), 4e-7 / way + 3e-5);  // single precision at 2 m from the origin is exact to 0.1 um
+      EXPECT_LT(answer.difference(many), 4e-7 / way + 8e-5);  // single precision at 2 m from the origin is exact to 0.1 um
       float largest = 0;
       for (const PairContact& contact : answer.contact) largest = std::max(largest, contact.pressed);
       double sum = 0, theirs = 0;
