@@ -438,16 +438,18 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
   const ScratchHandle scratch = make_scratch();
   NodalSolver& s = scratch->solver;
   const Obstacle wall = obstacle_of("wall", model);
-  for (int k = 0; k < 2; ++k) deform({model, {}, mass_of(model, false), {&wall, 1}, tick_seconds}, *scratch, body, motion);
-  const Blocks& blocks = *model.blocks;
-  const uint32_t groups = uint32_t(blocks.group.size());
+  Parameters all;
+  all.tolerance = 0;  // solves the whole car
+  for (int k = 0; k < 2; ++k) deform({model, all, mass_of(model, false), {&wall, 1}, tick_seconds}, *scratch, body, motion);
+  const SweepOrder& order = *model.order;
+  const uint32_t groups = uint32_t(order.group.size());
   for (size_t i = 0; i < s.direction.size(); ++i) s.direction[i] = {i % 2 ? 1e-3f : 0, 1e-3f, 2e-3f, 0};
   const auto positions = s.node;
   const auto tets = s.tets;
   const auto flowing = s.flowing;
-  // The whole car is awake, so no block is left to wake.
-  std::fill(s.awake.begin(), s.awake.end(), uint8_t(2));
-  std::fill(s.stirred.begin(), s.stirred.end(), uint8_t(1));
+  wake_all(model, {}, s.active);
+  pack(model, {}, s.weights, s.active);
+  const Blocks& blocks = s.active.blocks;
   const auto nobody = [](void*, uint32_t, const float*, const float*) {};
   const NodeView nodes{.node = s.node.data(),
                        .before = s.before.data(),
@@ -457,21 +459,14 @@ void measure_kernels(const std::string& name, const Model& model, Table& table) 
                        .row = blocks.row.data(),
                        .anchored = blocks.anchored.data(),
                        .rows = blocks.rows.data(),
-                       .weights = s.weights.data(),
-                       .still = s.still.data(),
-                       .touched = s.touched.data(),
-                       .awake = s.awake.data(),
-                       .stirred = s.stirred.data(),
-                       .near_first = blocks.near_first.data(),
-                       .near = blocks.near.data(),
-                       .over_first = blocks.over_first.data(),
-                       .over = blocks.over.data(),
-                       .quiet = 0,
+                       .weights = blocks.weights.data(),
+                       .still = s.active.still.data(),
+                       .touched = s.active.touched.data(),
                        .relaxation = relaxation,
                        .measure = false,
                        .resolve = nobody,
                        .context = nullptr};
-  const TetView view{s.node.data(), blocks.group.data(), s.tets.data(), s.region.data(), s.law.data(), s.stirred.data()};
+  const TetView view{s.node.data(), order.group.data(), s.tets.data(), s.region.data(), s.law.data(), s.active.stirred.data()};
   std::vector<uint16_t> every(groups, 0xffff);
   kernels().update_secant_moduli(view, 0, groups, s.stiffness.data(), every.data());
   for (const char* instructions : {"avx512", "avx2", "portable"}) {

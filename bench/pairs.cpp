@@ -386,7 +386,7 @@ CarPointer scaled(const CarPointer& car, const Vec3& by, double mass) {
   Model& to = out->model;
   to.node = arrays->node, to.vertex = arrays->vertex, to.node_mass = arrays->node_mass, to.tet_rest = arrays->tet_rest;
   to.edge_rest = arrays->edge_rest, to.gradients = arrays->gradients;
-  to.blocks = &out->blocks, to.boundary = &out->boundary;
+  to.order = &out->order, to.boundary = &out->boundary;
   const Balance all = balance(to.node, to.node_mass);
   to.mass = float(all.mass), to.center_of_mass = all.center.cast<float>(), to.inertia = all.inertia.cast<float>();
   out->mean_edge *= std::cbrt(by.prod());

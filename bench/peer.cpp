@@ -100,9 +100,8 @@ void play(const Scene& scene, int substeps, int sweeps, int steps, const std::st
     }
     std::printf("%s%.5g", step > 0 ? "," : "", spent);
   }
-  const std::vector<uint8_t>& blocks = scratch->solver.awake;
-  const auto awake = std::count_if(blocks.begin(), blocks.end(), [](uint8_t each) { return each > 0; });
-  std::printf("],\"awake\":%.3g}\n", double(awake) / double(blocks.size()));
+  const ActiveSet& active = scratch->solver.active;
+  std::printf("],\"awake\":%.3g}\n", double(active.node.size()) / double(active.awake.size()));
   std::vector<Vec3> found(scene.origin.size());
   for (size_t i = 0; i < found.size(); ++i) found[scene.origin[i]] = body.node[i];
   std::ofstream(out, std::ios::binary).write(reinterpret_cast<const char*>(found.data()), std::streamsize(12 * found.size()));

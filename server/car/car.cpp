@@ -12,8 +12,8 @@
 #include <utility>
 
 #include "car/balance.h"
-#include "car/make_blocks.h"
 #include "car/make_boundary.h"
+#include "car/make_sweep_order.h"
 #include "protocol/asset.h"
 #include "schema/car_generated.h"
 
@@ -253,13 +253,13 @@ std::shared_ptr<const Car> read(std::span<const std::byte> bytes, const std::str
   }
   if (const char* why = read_parts(file, car->parts)) refuse(name, why);
   if (const char* why = read_looks(file, car->looks)) refuse(name, why);
-  car->blocks = make_blocks(car->model);
+  car->order = make_sweep_order(car->model);
   car->boundary = make_boundary(car->model);
   car->skin_node = skin_nodes(car->model);
   const auto edges = car->model.edge_rest;
   car->mean_edge = float(std::accumulate(edges.begin(), edges.end(), 0.0) / double(edges.size()));
-  if (car->blocks.colour.empty()) refuse(name, "a node has hundreds of neighbours that are all neighbours of each other");
-  car->model.blocks = &car->blocks;
+  if (car->order.colour.empty()) refuse(name, "a node has hundreds of neighbours that are all neighbours of each other");
+  car->model.order = &car->order;
   car->model.boundary = &car->boundary;
   car->hash = hash_of(bytes.data(), bytes.size());
   return car;

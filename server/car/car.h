@@ -23,7 +23,7 @@ inline constexpr double smallest_volume = 1e-12;  // m^3 of a tet, a tenth of a 
 
 struct Car {
   Model model;
-  Blocks blocks;
+  SweepOrder order;
   Boundary boundary;
   float mean_edge = 0;              // m
   std::vector<uint32_t> skin_node;  // nodes that some vertex follows, ascending: viewers receive their displacements

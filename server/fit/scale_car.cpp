@@ -69,7 +69,7 @@ std::shared_ptr<const Car> scale_car(const std::shared_ptr<const Car>& car, cons
   out->model.mass = mass;
   out->model.center_of_mass = balanced.center.cast<float>();
   out->model.inertia = balanced.inertia.cast<float>();
-  out->model.blocks = &out->blocks;
+  out->model.order = &out->order;
   out->model.boundary = &out->boundary;
   out->parts = {};
   out->bytes = {};

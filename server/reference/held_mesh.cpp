@@ -2,8 +2,8 @@
 
 #include <limits>
 
-#include "car/make_blocks.h"
 #include "car/make_boundary.h"
+#include "car/make_sweep_order.h"
 
 namespace crumple {
 
@@ -30,9 +30,9 @@ HeldMesh::HeldMesh(TetMesh tets, std::vector<uint8_t> held, double mass)
   model_.mass = float(mass);
   model_.center_of_mass = masses_.center;
   model_.inertia = masses_.inertia;
-  blocks_ = make_blocks(model_);
+  order_ = make_sweep_order(model_);
   boundary_ = make_boundary(model_);
-  model_.blocks = &blocks_;
+  model_.order = &order_;
   model_.boundary = &boundary_;
 }
 

@@ -26,7 +26,7 @@ class HeldMesh {
   Constraints constraints_;
   Masses masses_;
   std::vector<uint8_t> held_, node_region_, tet_region_;
-  Blocks blocks_;
+  SweepOrder order_;
   Boundary boundary_;
   Model model_;
 };

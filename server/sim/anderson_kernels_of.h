@@ -2,7 +2,7 @@
 #pragma once
 
 #include "sim/anderson_kernels.h"
-#include "sim/blocks.h"
+#include "sim/sweep_order.h"
 
 namespace crumple {
 namespace {

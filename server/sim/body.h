@@ -47,6 +47,7 @@ struct DeformableState {
   PairMemory pairs;
   double absorbed = 0;  // energy absorbed since spawn by plastic work, drag and friction, J
   double stored = 0;    // elastic energy now, J
+  double anchors = 0;   // part of `stored` in the springs of anchored nodes, J
   double owed = 0;      // part of `stored` that the motion did not give, J: the body may not return it
   // Set by measure_reach(): the nodes' farthest distance from the centre of mass, and their bounding box in the car's frame, m.
   float reach = 0;
@@ -116,6 +117,7 @@ constexpr void for_each_field(const Visit& visit) {
   visit(ListField<float>{"tet_rest", &DeformableState::tet_rest, tet, &Model::tet_rest, {.saved = true, .repaired = true}});
   visit(SingleField<double>{"absorbed", &DeformableState::absorbed, {.saved = true, .transferred = true}});
   visit(SingleField<double>{"stored", &DeformableState::stored, {.saved = true, .transferred = true}});
+  visit(SingleField<double>{"anchors", &DeformableState::anchors, {.not_negative = true}});
   visit(SingleField<double>{"owed", &DeformableState::owed, {.transferred = true, .not_negative = true}});
   visit(SingleField<bool>{"touching", &DeformableState::touching, {}});
   visit(SingleField<bool>{"settled", &DeformableState::settled, {.saved = true, .transferred = true}});

@@ -33,11 +33,6 @@ struct TetLanes {
   float yield[lanes];  // yield stress at kappa, Pa
 };
 
-// Per lane of a row: dot products of the node's gradient with the gradients of the three other corners, 1/m^2.
-struct Weights {
-  float other[3][lanes];
-};
-
 // Stiffness of a tet as a Float4: x = mu V, N m; y = l V D^2, N/m^5; z = gamma / D, m^3; w unused.
 
 struct NodeView {
@@ -49,14 +44,9 @@ struct NodeView {
   const uint32_t* row;      // Blocks::row
   const uint8_t* anchored;  // Blocks::anchored
   const Row* rows;          // Blocks::rows
-  const Weights* weights;   // per row
+  const Weights* weights;   // Blocks::weights
   const uint16_t* still;    // per block: lanes that the sweep must not move
   const uint16_t* touched;  // per block: lanes that an obstacle may hold; `resolve` moves them
-  // Sleeping blocks are skipped. A block with a node that moved more than `quiet` (m) from `before` wakes the blocks around it.
-  uint8_t* awake;                                         // per block
-  uint8_t* stirred;                                       // per group of tets: one of its blocks is awake
-  const uint32_t *near_first, *near, *over_first, *over;  // Blocks::near_first ...
-  float quiet;
   float relaxation;
   bool measure;  // move nothing, but call `resolve` as usual
   // gradient N; hessian N/m: xx yy zz xy xz yz

@@ -76,25 +76,11 @@ CRUMPLE_INLINE Vec3s<N> solve(const Block<N>& block) {
           (xz * g.x + yz * g.y + zz * g.z) * scale};
 }
 
-// Blocks of one colour set these flags, perhaps at the same time; blocks of other colours read them.
-CRUMPLE_INLINE void wake_around(const NodeView& v, uint32_t block) {
-  for (uint32_t k = v.near_first[block]; k < v.near_first[block + 1]; ++k) {
-    const uint32_t near = v.near[k];
-    if (__atomic_load_n(&v.awake[near], __ATOMIC_RELAXED)) continue;
-    __atomic_store_n(&v.awake[near], uint8_t(1), __ATOMIC_RELAXED);
-    for (uint32_t o = v.over_first[near]; o < v.over_first[near + 1]; ++o) {
-      __atomic_store_n(&v.stirred[v.over[o]], uint8_t(1), __ATOMIC_RELAXED);
-    }
-  }
-}
-
 template <int N>
 void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
   for (uint32_t block = first; block < last; ++block) {
-    if (!v.awake[block]) continue;
     const unsigned still = v.still[block], touched = v.touched[block];
     if ((v.measure || still == 0xffff) && touched == 0) continue;
-    bool moved = touched != 0;
     for (int lane = 0; lane < lanes; lane += N) {
       const uint32_t* index = &v.index[lanes * block + lane];
       const Float4s<N> position = gather<N>(v.node, index), before = gather<N>(v.before, index);
@@ -102,8 +88,6 @@ void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
       if (!v.measure) {
         const Vec3s<N> target = position.xyz() - solve<N>(b) * broadcast<N>(v.relaxation);
         scatter<N>(target, v.node, index, still >> lane);
-        const Vec3s<N> way = target - before.xyz();
-        moved = moved || (bits<N>(dot(way, way) > broadcast<N>(v.quiet * v.quiet)) & ~(still >> lane)) != 0;
       }
       if (touched >> lane == 0) continue;
       for (int k = 0; k < N; ++k) {
@@ -112,10 +96,6 @@ void relax_nodes(const NodeView& v, uint32_t first, uint32_t last) {
         const float hessian[6] = {b.xx[k], b.yy[k], b.zz[k], b.xy[k], b.xz[k], b.yz[k]};
         v.resolve(v.context, index[k], gradient, hessian);
       }
-    }
-    if (v.awake[block] == 1 && moved) {
-      wake_around(v, block);
-      v.awake[block] = 2;  // no need to wake them again
     }
   }
 }

@@ -56,7 +56,7 @@ struct Parameters {
   uint16_t iterations = 40;
   // A sub-step of `nodal` ends when its last two sweeps moved the awake nodes by no more than this (rms), m, [0, 0.1]. It is an
   // absolute length, because a share of the nodes' way would spend sweeps where nothing moves and save them where the dent is
-  // made. 0: do all iterations.
+  // made. 0: do all iterations, and on all nodes instead of those near which something moves (active_set.h).
   float tolerance = 8e-5f;
   // Sub-steps of `nodal` in 1/60 s, before any halving (substeps.h), [1, 64]. Fewer sub-steps follow the path less accurately;
   // more take longer.

@@ -5,9 +5,9 @@
 #include <cstdint>
 #include <span>
 
-#include "sim/blocks.h"
 #include "sim/boundary.h"
 #include "sim/math.h"
+#include "sim/sweep_order.h"
 
 namespace crumple {
 
@@ -43,7 +43,7 @@ struct Model {
   std::span<const Vec3> vertex;            // v rest positions, m
   std::span<const uint32_t> triangle;      // 3 f
   std::span<const Skin> skin;              // v
-  const Blocks* blocks = nullptr;          // made from the arrays above
+  const SweepOrder* order = nullptr;       // made from the arrays above
   const Boundary* boundary = nullptr;      // made from the arrays above
   float mass = 0;                          // kg
   Vec3 center_of_mass = Vec3::Zero();      // m

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <span>
 
 #include "sim/flow.h"
@@ -256,7 +257,8 @@ void measure(void* context, uint32_t node, const float gradient[3], const float[
   }
 }
 
-NodeView node_view(const Blocks& blocks, float quiet, NodalSolver& solver, Touch& touch) {
+NodeView node_view(NodalSolver& solver, Touch& touch) {
+  const Blocks& blocks = solver.active.blocks;
   return {.node = solver.node.data(),
           .before = solver.before.data(),
           .rest = solver.rest.data(),
@@ -265,29 +267,22 @@ NodeView node_view(const Blocks& blocks, float quiet, NodalSolver& solver, Touch
           .row = blocks.row.data(),
           .anchored = blocks.anchored.data(),
           .rows = blocks.rows.data(),
-          .weights = solver.weights.data(),
-          .still = solver.still.data(),
-          .touched = solver.touched.data(),
-          .awake = solver.awake.data(),
-          .stirred = solver.stirred.data(),
-          .near_first = blocks.near_first.data(),
-          .near = blocks.near.data(),
-          .over_first = blocks.over_first.data(),
-          .over = blocks.over.data(),
-          .quiet = quiet,
+          .weights = blocks.weights.data(),
+          .still = solver.active.still.data(),
+          .touched = solver.active.touched.data(),
           .relaxation = relaxation,
           .measure = false,
           .resolve = resolve,
           .context = &touch};
 }
 
-TetView tet_view(const Blocks& blocks, const NodalSolver& solver) {
+TetView tet_view(const SweepOrder& order, const NodalSolver& solver) {
   return {.node = solver.node.data(),
-          .group = blocks.group.data(),
+          .group = order.group.data(),
           .tet = solver.tets.data(),
           .region = solver.region.data(),
           .law = solver.law.data(),
-          .stirred = solver.stirred.data()};
+          .stirred = solver.active.stirred.data()};
 }
 
 // Size of a piece of work: a microsecond or two.
@@ -295,33 +290,21 @@ constexpr uint32_t blocks_at_once = 2, groups_at_once = 64;
 
 // Calls work(first, last, sums) on all groups of tets.
 template <size_t Count, class Work>
-std::array<double, Count> sum_over_groups(const Blocks& blocks, NodalSolver& solver, const Work& work) {
-  return solver.team->sum<Count>(uint32_t(blocks.group.size()), groups_at_once, work);
+std::array<double, Count> sum_over_groups(const SweepOrder& order, NodalSolver& solver, const Work& work) {
+  return solver.team->sum<Count>(uint32_t(order.group.size()), groups_at_once, work);
 }
 
 // Returns how many tets have lost their shape.
-double update_stiffness(const Blocks& blocks, NodalSolver& solver) {
-  const TetView view = tet_view(blocks, solver);
-  return sum_over_groups<1>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
+double update_stiffness(const SweepOrder& order, NodalSolver& solver) {
+  const TetView view = tet_view(order, solver);
+  return sum_over_groups<1>(order, solver, [&](uint32_t first, uint32_t last, double* sum) {
     sum[0] = kernels().update_secant_moduli(view, first, last, solver.stiffness.data(), solver.flowing.data());
   })[0];
 }
 
-// A body that has lost its shape (a foreign state, or a shape that no crash makes) first springs back to its last sound shape.
-// Nothing flows until it has come to rest, or is sound again and an obstacle holds it: flow would keep the wrong shape.
-void suspend_flow(const Blocks& blocks, double lost, size_t tets, bool held, NodalSolver& solver, DeformableState& body) {
-  if (lost > lost_share * double(tets)) body.lost = true;
-  if (lost == 0 && held) body.lost = false;
-  for (Law& law : solver.law) law.room = body.lost ? 0.0f : law.limit;
-  if (!body.lost) return;
-  std::fill(solver.flowing.begin(), solver.flowing.end(), uint16_t(0xffff));
-  std::fill(solver.stirred.begin(), solver.stirred.end(), uint8_t(1));
-  update_stiffness(blocks, solver);
-}
-
 // Moves all nodes along solver.direction by the factor in [0, 1] that lowers the energy most. Along the line the energy is a
 // polynomial of degree six, so one pass over the tets finds its minimum.
-void search_line(const Blocks& blocks, NodalSolver& solver) {
+void search_line(const SweepOrder& order, NodalSolver& solver) {
   double derivative[6] = {};  // of the energy at factor a: sum derivative[k] a^k
   for (size_t i = 0; i < solver.node.size(); ++i) {
     const Vec3 direction = vec(solver.direction[i]), position = vec(solver.node[i]);
@@ -330,8 +313,8 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
     derivative[1] += double((drag + anchor) * direction.squaredNorm());
     derivative[0] += double(direction.dot(pull));
   }
-  const TetView view = tet_view(blocks, solver);
-  const auto elastic = sum_over_groups<6>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
+  const TetView view = tet_view(order, solver);
+  const auto elastic = sum_over_groups<6>(order, solver, [&](uint32_t first, uint32_t last, double* sum) {
     kernels().line_derivative(view, first, last, solver.stiffness.data(), solver.direction.data(), sum);
   });
   for (int k = 0; k < 6; ++k) derivative[k] += elastic[k];
@@ -356,13 +339,9 @@ void search_line(const Blocks& blocks, NodalSolver& solver) {
 // contact out of their obstacles, and nodes that touch other cars on as in the last sub-step.
 void aim(const NodalPart& part) {
   const auto& [input, all, pairs, share, solver, body, stats] = part;
-  const Blocks& blocks = *input.model.blocks;
   const std::span<const Contact> contacts = all.contact;
-  for (size_t i = 0; i < body.step.size(); ++i) {
-    const bool awake = solver.awake[blocks.place[i] / lanes];
-    solver.direction[i] = awake ? float4(share * body.step[i], 0) : Float4{};
-  }
-  std::fill(solver.direction.begin() + ptrdiff_t(body.step.size()), solver.direction.end(), Float4{});
+  std::fill(solver.direction.begin(), solver.direction.end(), Float4{});
+  for (const uint32_t i : solver.active.node) solver.direction[i] = float4(share * body.step[i], 0);
   for (const Contact& contact : contacts) {
     const Vec3 position = vec(solver.node[contact.node]);
     const float depth = std::max(0.0f, contact.offset - contact.normal.dot(position));
@@ -397,14 +376,10 @@ void part_surfaces(std::span<const NodalPart> parts, std::span<const PairContact
   }
 }
 
-// The acceleration also moves sleeping nodes, and anchored nodes that an obstacle has let go: put them back.
-void keep_still(const Blocks& blocks, NodalSolver& solver) {
-  for (size_t block = 0; block < solver.awake.size(); ++block) {
-    unsigned keep = solver.awake[block] ? unsigned(solver.still[block] & ~solver.touched[block]) : 0xffffu;
-    for (; keep != 0; keep &= keep - 1) {
-      const uint32_t node = blocks.node[lanes * block + uint32_t(std::countr_zero(keep))];
-      solver.node[node] = solver.step_start[node];
-    }
+// The acceleration also moves sleeping nodes: puts them back.
+void keep_still(NodalSolver& solver) {
+  for (size_t i = 0; i < solver.active.awake.size(); ++i) {
+    if (!solver.active.awake[i]) solver.node[i] = solver.step_start[i];
   }
 }
 
@@ -442,68 +417,16 @@ void stiffen_anchors(const Model& model, const Parameters& parameters, float mos
   for_each_touched(contacts, pairs, [&](uint32_t node) { solver.rest[node].w *= most / sum; });
 }
 
-// Marks the lanes that sweeps must not move, and the lanes that `resolve` moves.
-void mark_lanes(const Blocks& blocks, const ContactSet& contacts, const PairIndex* pairs, NodalSolver& solver) {
-  for (size_t block = 0; block < blocks.anchored.size(); ++block) {
-    solver.still[block] = blocks.anchored[block] ? uint16_t(0xffff) : blocks.unused[block];
-    solver.touched[block] = 0;
-    solver.awake[block] = 0;
-  }
-  for_each_touched(contacts, pairs, [&](uint32_t node) {
-    const uint32_t place = blocks.place[node];
-    const uint16_t bit = uint16_t(1u << (place % lanes));
-    solver.still[place / lanes] |= bit;
-    solver.touched[place / lanes] |= bit;
-    solver.awake[place / lanes] = 1;
-  });
-}
-
-// Wakes blocks that touch an obstacle or a car, or moved in the last sub-step. Wakes the whole body if its shape was lost,
-// loaded, repaired or just released.
-void wake_blocks(const Blocks& blocks, float quiet, bool held, const DeformableState& body, NodalSolver& solver) {
-  bool moved = false;
-  for (size_t i = 0; i < body.step.size(); ++i) {
-    if (body.step[i].squaredNorm() <= quiet * quiet) continue;
-    moved = true;
-    solver.awake[blocks.place[i] / lanes] = 1;
-  }
-  const bool all = body.lost || (!moved && (!held || !body.settled));
-  std::fill(solver.stirred.begin(), solver.stirred.end(), uint8_t(0));
-  for (size_t block = 0; block < solver.awake.size(); ++block) {
-    if (all) solver.awake[block] = 1;
-    if (blocks.anchored[block] && solver.touched[block] == 0) solver.awake[block] = 0;
-    if (!solver.awake[block]) continue;
-    for (uint32_t k = blocks.over_first[block]; k < blocks.over_first[block + 1]; ++k) solver.stirred[blocks.over[k]] = 1;
-  }
-}
-
-// Writes the dot products of a tet's gradients to the rows of its four nodes.
-void weigh_tet(const DeformableState& body, const Blocks& blocks, uint32_t t, NodalSolver& solver) {
+// Writes the dot products of a tet's gradients to its four corners.
+void weigh_tet(const DeformableState& body, const SweepOrder& order, uint32_t t, NodalSolver& solver) {
   const auto& g = body.gradients[t].corner;
   const Vec3 first = -g[0] - g[1] - g[2];
   const float d01 = first.dot(g[0]), d02 = first.dot(g[1]), d03 = first.dot(g[2]);
   const float d12 = g[0].dot(g[1]), d13 = g[0].dot(g[2]), d23 = g[1].dot(g[2]);
   const float weight[4][3] = {{d01, d02, d03}, {d01, d13, d12}, {d23, d02, d12}, {d23, d13, d03}};  // in the order of Row
   for (int corner = 0; corner < 4; ++corner) {
-    const uint32_t slot = blocks.slot[4 * t + corner];
-    for (int o = 0; o < 3; ++o) solver.weights[slot / lanes].other[o][slot % lanes] = weight[corner][o];
+    std::copy_n(weight[corner], 3, solver.weights[order.slot[4 * t + corner]].other);
   }
-}
-
-// Copies the flowed tets of a group to the body, and their dot products to the rows.
-void take_flow(const Blocks& blocks, uint32_t group, NodalSolver& solver, DeformableState& body) {
-  if (!solver.stirred[group]) return;
-  const TetLanes& tet = solver.tets[group];
-  for (unsigned left = solver.flowing[group]; left != 0; left &= left - 1) {
-    const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
-    for (int k = 0; k < 9; ++k) body.gradients[t].corner[k / 3][k % 3] = tet.gradient[k][lane];
-    body.hardening[t] = tet.kappa[lane];
-    weigh_tet(body, blocks, t, solver);
-  }
-}
-
-size_t awake_nodes(const NodalSolver& solver) {
-  return lanes * size_t(std::count_if(solver.awake.begin(), solver.awake.end(), [](uint8_t awake) { return awake != 0; }));
 }
 
 // The length of a gradient is one over the height above the opposite face.
@@ -514,21 +437,83 @@ bool thin(const Gradients& gradients) {
   return steepest * thinnest * thinnest > 1;
 }
 
+// Copies the flowed tets of a group to the body, and their dot products to the corners.
+void take_flow(const SweepOrder& order, uint32_t group, NodalSolver& solver, DeformableState& body) {
+  if (!solver.active.stirred[group]) return;
+  const TetLanes& tet = solver.tets[group];
+  for (unsigned left = solver.flowing[group]; left != 0; left &= left - 1) {
+    const uint32_t lane = uint32_t(std::countr_zero(left)), t = lanes * group + lane;
+    for (int k = 0; k < 9; ++k) body.gradients[t].corner[k / 3][k % 3] = tet.gradient[k][lane];
+    body.hardening[t] = tet.kappa[lane];
+    weigh_tet(body, order, t, solver);
+  }
+}
+
 // Squared way of all nodes in this sub-step, m^2. Each awake node counts for at least the way at which it would be at rest.
 double way_size(float quiet, const NodalSolver& solver) {
-  double sum = double(awake_nodes(solver)) * double(quiet * quiet);
-  for (size_t i = 0; i < solver.node.size(); ++i) {
+  double sum = double(solver.active.node.size()) * double(quiet * quiet);
+  for (const uint32_t i : solver.active.node) {
     sum += double((vec(solver.node[i]) - vec(solver.before[i])).squaredNorm());
   }
   return sum;
+}
+
+// Stirs what is awake, and packs it.
+void gather(const Model& model, const DeformableState& body, NodalSolver& solver) {
+  stir(model, solver.seeds, solver.active);
+  load_stirred(model, body, solver);
+  pack(model, solver.seeds, solver.weights, solver.active);
+}
+
+// Whether the body is as it was made. Another one that was never solved may be out of equilibrium anywhere, for it was loaded,
+// comes from another level, or has a new material.
+bool is_undamaged(const Model& model, const DeformableState& body) {
+  const auto same = [](const auto& list, const auto& other) {
+    return std::memcmp(list.data(), other.data(), list.size() * sizeof list[0]) == 0;
+  };
+  return same(body.node, model.node) && same(body.gradients, model.gradients);
+}
+
+// Chooses the nodes to solve. All of them if the body's shape was lost, loaded, repaired or just released.
+void choose_active(const NodalPart& part, float quiet, bool held) {
+  const Model& model = part.input.model;
+  NodalSolver& solver = part.solver;
+  const DeformableState& body = part.body;
+  solver.seeds.touched.clear();
+  for_each_touched(part.contacts, part.pairs, [&](uint32_t node) { solver.seeds.touched.push_back(node); });
+  const bool moved =
+      std::any_of(body.step.begin(), body.step.end(), [&](const Vec3& step) { return step.squaredNorm() > quiet * quiet; });
+  const bool unknown = body.step_seconds == 0 && !is_undamaged(model, body);
+  if (body.lost || unknown || part.input.parameters.tolerance == 0 || (!moved && (!held || !body.settled))) {
+    wake_all(model, solver.seeds, solver.active);
+  } else {
+    wake(model, solver.seeds, body.step, quiet, solver.active);
+  }
+  gather(model, body, solver);
+}
+
+// A body that has lost its shape (a foreign state, or a shape that no crash makes) first springs back to its last sound shape.
+// Nothing flows until it has come to rest, or is sound again and an obstacle holds it: flow would keep the wrong shape. lost:
+// how many of the tets have lost their shape. Returns whether flow is suspended.
+bool suspend_flow(double lost, size_t tets, bool held, NodalSolver& solver, DeformableState& body) {
+  if (lost > lost_share * double(tets)) body.lost = true;
+  if (lost == 0 && held) body.lost = false;
+  for (Law& law : solver.law) law.room = body.lost ? 0.0f : law.limit;
+  if (body.lost) std::fill(solver.flowing.begin(), solver.flowing.end(), uint16_t(0xffff));
+  return body.lost;
 }
 
 // Prepares a car for a sub-step of h seconds: drag, springs, what is awake, and where to start.
 void begin_part(const NodalPart& part, float h) {
   const auto& [input, contacts, pairs, share, solver, body, stats] = part;
   const Model& model = input.model;
-  const Blocks& blocks = *model.blocks;
-  for (size_t i = 0; i < body.node.size(); ++i) {
+  solver.seeds.placed.clear();
+  for (uint32_t i = 0; i < body.node.size(); ++i) {
+    if (vec(solver.node[i]) != body.node[i]) solver.seeds.placed.push_back(i);
+  }
+  stir(model, solver.seeds, solver.active);
+  load_stirred(model, body, solver);  // where the placed nodes were
+  for (uint32_t i = 0; i < body.node.size(); ++i) {
     const Material& material = input.parameters.region[model.node_region[i]];
     const float drag = material.drag * model.node_mass[i] / model.mass * float(solver.volume) / h;
     solver.before[i] = float4(body.node[i], drag);
@@ -536,9 +521,11 @@ void begin_part(const NodalPart& part, float h) {
   }
   stiffen_anchors(model, input.parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, pairs, solver);
   const bool held = !contacts.contact.empty() || pairs;
-  suspend_flow(blocks, update_stiffness(blocks, solver), model.tet.size(), held, solver, body);
-  mark_lanes(blocks, contacts, pairs, solver);
-  wake_blocks(blocks, settle_speed * h, held, body, solver);
+  choose_active(part, settle_speed * h, held);
+  if (suspend_flow(update_stiffness(*model.order, solver), model.tet.size(), held, solver, body)) {
+    choose_active(part, settle_speed * h, held);
+    update_stiffness(*model.order, solver);
+  }
   solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
   if (!pairs && !body.pairs.touch.empty()) body.history = {};  // it has pressures of a car that is gone
   aim(part);
@@ -550,14 +537,11 @@ void stiffen_pairs(std::span<NodalPart> parts, std::span<NodeView> views, std::s
   if (contacts.empty()) return;
   for (size_t k = 0; k < parts.size(); ++k) {
     const NodalPart& part = parts[k];
-    const Blocks& blocks = *part.input.model.blocks;
     part.solver.pair_stiffness.resize(part.solver.node.size());
     NodeView view = views[k];
     view.measure = true;
     view.resolve = note_stiffness;
-    for (uint32_t block = 0; block < blocks.anchored.size(); ++block) {
-      if (part.solver.touched[block] != 0) kernels().relax_nodes(view, block, block + 1);
-    }
+    kernels().relax_nodes(view, 0, uint32_t(part.solver.active.touched.size()));
   }
   for (PairContact& contact : contacts) {
     const auto &first = parts[contact.car[0]].solver.pair_stiffness, &second = parts[contact.car[1]].solver.pair_stiffness;
@@ -575,13 +559,13 @@ void sweep(std::span<const NodalPart> parts, std::span<const NodeView> views, st
     contact.seen_point = point_of(contact, parts[contact.car[1]].solver);
   }
   size_t colours = 0;
-  for (const NodalPart& part : parts) colours = std::max(colours, part.input.model.blocks->colour.size() - 1);
+  for (const NodalPart& part : parts) colours = std::max(colours, part.solver.active.blocks.colour.size() - 1);
   for (size_t c = 0; c < colours; ++c) {
     // The blocks of this colour, of one car after the other.
     const auto visit = [&](uint32_t first, uint32_t last, const auto& work) {
       uint32_t begin = 0;
       for (size_t k = 0; k < parts.size(); ++k) {
-        const std::vector<uint32_t>& colour = parts[k].input.model.blocks->colour;
+        const std::vector<uint32_t>& colour = parts[k].solver.active.blocks.colour;
         const uint32_t size = c + 1 < colour.size() ? colour[c + 1] - colour[c] : 0, end = begin + size;
         if (first < end && last > begin) {
           work(k, colour[c] + std::max(first, begin) - begin, colour[c] + std::min(last, end) - begin);
@@ -648,7 +632,7 @@ void measure_pairs(std::span<PairContact> contacts) {
 bool is_solved(NodalPart& part, float h) {
   const double enough = double(part.input.parameters.tolerance) * double(part.input.parameters.tolerance);
   const AndersonStep& last = part.solver.last_step;
-  const double mean = last.residual_size / double(std::max<size_t>(1, awake_nodes(part.solver)));
+  const double mean = last.residual_size / double(std::max<size_t>(1, part.solver.active.node.size()));
   part.stats.residual = std::sqrt(float(mean));
   if (!last.compared || mean > enough) return false;
   return last.residual_size <= small_share * small_share * way_size(settle_speed * h, part.solver);
@@ -656,44 +640,32 @@ bool is_solved(NodalPart& part, float h) {
 
 }  // namespace
 
-uint64_t sweep_work(const Model& model) { return lanes * model.blocks->group.size(); }
-
 void prepare_nodal(const Model& model, const Parameters& parameters, const DeformableState& body, Team& team,
                    NodalSolver& solver) {
   solver.team = &team;
-  const Blocks& blocks = *model.blocks;
-  const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * blocks.group.size();
+  const SweepOrder& order = *model.order;
+  const size_t n = model.node.size(), t = model.tet.size(), padded = lanes * order.group.size();
   static_assert(lanes == 16);
   for (auto* list : {&solver.node, &solver.before, &solver.rest, &solver.direction}) {
     list->assign(padded_nodes(n), Float4{});
   }
   solver.before[n].w = 1;  // unused lanes must not divide by zero
   solver.stiffness.assign(padded + 1, Float4{});
-  solver.tets.assign(blocks.group.size(), TetLanes{});
-  solver.weights.assign(blocks.rows.size(), Weights{});
-  solver.flowing.assign(blocks.group.size(), 0xffff);
-  solver.stirred.assign(blocks.group.size(), 1);  // all groups, the first time
-  solver.awake.resize(blocks.anchored.size());
-  solver.still.resize(blocks.anchored.size());
-  solver.touched.resize(blocks.anchored.size());
+  solver.tets.resize(order.group.size());
+  solver.weights.resize(4 * t);
+  solver.flowing.resize(order.group.size());
+  solver.energy.resize(order.group.size());
+  solver.loaded.assign(order.group.size(), 0);
+  solver.active.awake.assign(n, 0);
+  solver.active.whole = false;
+  for (size_t i = 0; i < n; ++i) solver.node[i] = float4(body.node[i], 0);
   solver.volume = 0;
-  std::array<YieldLaw, region_limit> laws;
-  for (int r = 0; r < region_limit; ++r) laws[r] = yield_law(parameters.region[r]);
-  for (uint32_t i = 0; i < t; ++i) {
-    TetLanes& tet = solver.tets[i / lanes];
-    const uint32_t lane = i % lanes;
-    for (int k = 0; k < 9; ++k) tet.gradient[k][lane] = body.gradients[i].corner[k / 3][k % 3];
-    tet.kappa[lane] = body.hardening[i];
-    tet.volume[lane] = model.tet_rest[i];
-    tet.yield[lane] =
-        yield_stress(crushed(laws[model.tet_region[i]], volume_ratio(model.tet_rest[i], body.gradients[i])), body.hardening[i]);
-    solver.volume += double(model.tet_rest[i]);
-    weigh_tet(body, blocks, i, solver);
-  }
+  for (uint32_t i = 0; i < t; ++i) solver.volume += double(model.tet_rest[i]);
   solver.law.resize(region_limit);
+  solver.yield.resize(region_limit);
   for (int r = 0; r < region_limit; ++r) {
     const Elastic e = elastic(parameters.region[r]);
-    const YieldLaw& y = laws[r];
+    const YieldLaw& y = solver.yield[r] = yield_law(parameters.region[r]);
     solver.law[r] = {e.mu, e.l, e.gamma, y.shear, y.bulk, y.start, y.slope, y.fold, y.dense, y.dense_from, y.limit, y.limit};
   }
   uint8_t same[region_limit];  // the first region with the same law, so that most groups of tets have one law
@@ -702,8 +674,27 @@ void prepare_nodal(const Model& model, const Parameters& parameters, const Defor
   }
   solver.region.assign(padded, same[model.tet_region[t - 1]]);
   for (uint32_t i = 0; i < t; ++i) solver.region[i] = same[model.tet_region[i]];
-  for (uint32_t i = 0; i < t; ++i) {
-    if (thin(model.gradients[i])) solver.tets[i / lanes].kappa[i % lanes] = solver.law[model.tet_region[i]].limit;
+}
+
+void load_stirred(const Model& model, const DeformableState& body, NodalSolver& solver) {
+  const SweepOrder& order = *model.order;
+  const uint32_t count = uint32_t(model.tet.size());
+  const TetView view = tet_view(order, solver);
+  for (uint32_t group = 0; group < solver.loaded.size(); ++group) {
+    if (solver.loaded[group] || !solver.active.stirred[group]) continue;
+    solver.loaded[group] = 1;
+    solver.flowing[group] = 0xffff;
+    TetLanes& tet = solver.tets[group] = {};
+    for (uint32_t t = lanes * group; t < std::min(count, lanes * (group + 1)); ++t) {
+      const uint32_t lane = t % lanes;
+      for (int k = 0; k < 9; ++k) tet.gradient[k][lane] = body.gradients[t].corner[k / 3][k % 3];
+      tet.kappa[lane] = thin(model.gradients[t]) ? solver.law[model.tet_region[t]].limit : body.hardening[t];
+      tet.volume[lane] = model.tet_rest[t];
+      const float ratio = volume_ratio(model.tet_rest[t], body.gradients[t]);
+      tet.yield[lane] = yield_stress(crushed(solver.yield[model.tet_region[t]], ratio), body.hardening[t]);
+      weigh_tet(body, order, t, solver);
+    }
+    solver.energy[group] = kernels().energy(view, group, group + 1);
   }
 }
 
@@ -715,11 +706,11 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
   for (NodalPart& part : parts) {
     begin_part(part, h);
     touches.push_back({part.contacts, part.pairs, contacts, part.solver});
-    views.push_back(node_view(*part.input.model.blocks, settle_speed * h, part.solver, touches.back()));
+    views.push_back(node_view(part.solver, touches.back()));
     steps.push_back({part.solver.step_start, part.solver.node, part.solver.last_step, part.body.history, *part.solver.team});
   }
   part_surfaces(parts, contacts);
-  for (const NodalPart& part : parts) search_line(*part.input.model.blocks, part.solver);
+  for (const NodalPart& part : parts) search_line(*part.input.model.order, part.solver);
   begin_substep(steps);
   const auto most = [](const NodalPart& a, const NodalPart& b) {
     return a.input.parameters.iterations < b.input.parameters.iterations;
@@ -727,14 +718,24 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
   const int iterations = std::max_element(parts.begin(), parts.end(), most)->input.parameters.iterations;
   int done = 0;
   while (done < iterations) {
-    for (NodalPart& part : parts) update_stiffness(*part.input.model.blocks, part.solver);
+    for (size_t k = 0; k < parts.size(); ++k) {
+      NodalSolver& solver = parts[k].solver;
+      const Model& model = parts[k].input.model;
+      if (done > 0 && widen(model, solver.before, solver.node, settle_speed * h, solver.active)) {
+        gather(model, parts[k].body, solver);
+        views[k] = node_view(solver, touches[k]);
+      }
+      update_stiffness(*model.order, solver);
+    }
     if (done == 0) stiffen_pairs(parts, views, contacts);
     write_pressures(parts, contacts);
     for (size_t k = 0; k < parts.size(); ++k) {
       parts[k].solver.step_start = parts[k].solver.node;
       steps[k].before = parts[k].solver.step_start;
     }
+    const int begin = done;
     for (int k = 0; k < sweeps_a_step && done < iterations; ++k, ++done) sweep(parts, views, contacts);
+    for (NodalPart& part : parts) part.stats.work += uint64_t(done - begin) * part.solver.active.corners / 4;
     const bool pressed = press_pairs(parts, contacts) <= pressed_share;
     compare(steps);
     read_pressures(parts, contacts);
@@ -742,11 +743,11 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
     if (done < iterations) {
       mix(steps);
       read_pressures(parts, contacts);
-      for (const NodalPart& part : parts) keep_still(*part.input.model.blocks, part.solver);
+      for (const NodalPart& part : parts) keep_still(part.solver);
     }
   }
   for (size_t k = 0; k < parts.size(); ++k) {
-    update_stiffness(*parts[k].input.model.blocks, parts[k].solver);
+    update_stiffness(*parts[k].input.model.order, parts[k].solver);
     views[k].measure = true;
     views[k].resolve = measure;
   }
@@ -754,34 +755,43 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
   measure_pairs(contacts);
   for (NodalPart& part : parts) {
     for (size_t i = 0; i < part.body.node.size(); ++i) part.body.node[i] = vec(part.solver.node[i]);
-    const auto stirred = uint64_t(std::count(part.solver.stirred.begin(), part.solver.stirred.end(), uint8_t(1)));
     part.stats.sweeps = uint32_t(done);
-    part.stats.work = lanes * stirred * uint64_t(done);
   }
 }
 
 double flow_nodal(const Model& model, NodalSolver& solver, DeformableState& body) {
-  const Blocks& blocks = *model.blocks;
-  const TetView view = tet_view(blocks, solver);
-  double work = sum_over_groups<1>(blocks, solver, [&](uint32_t first, uint32_t last, double* sum) {
+  const SweepOrder& order = *model.order;
+  const TetView view = tet_view(order, solver);
+  double work = sum_over_groups<1>(order, solver, [&](uint32_t first, uint32_t last, double* sum) {
     sum[0] = kernels().flow(view, solver.tets.data(), first, last, solver.flowing.data());
-    for (uint32_t group = first; group < last; ++group) take_flow(blocks, group, solver, body);
+    for (uint32_t group = first; group < last; ++group) take_flow(order, group, solver, body);
   })[0];
-  for (size_t i = 0; i < body.node.size(); ++i) {
+  for (const uint32_t i : solver.active.node) {
     work += double(solver.before[i].w) * (body.node[i] - vec(solver.before[i])).squaredNorm();
   }
   return work;
 }
 
 double stored_nodal(const Model& model, const ContactSet& contacts, const PairIndex* pairs, NodalSolver& solver,
-                    const DeformableState& body) {
-  const TetView view = tet_view(*model.blocks, solver);
-  double sum = sum_over_groups<1>(*model.blocks, solver, [&](uint32_t first, uint32_t last, double* sums) {
-    sums[0] = kernels().energy(view, first, last);
+                    DeformableState& body) {
+  const SweepOrder& order = *model.order;
+  const TetView view = tet_view(order, solver);
+  // All tets: their sum. Else only the change, since the others are not even loaded.
+  double sum = solver.active.whole ? 0 : body.stored - body.anchors;
+  sum += sum_over_groups<1>(order, solver, [&](uint32_t first, uint32_t last, double* sums) {
+    for (uint32_t group = first; group < last; ++group) {
+      if (!solver.active.stirred[group]) continue;
+      const double before = solver.active.whole ? 0 : solver.energy[group];
+      solver.energy[group] = kernels().energy(view, group, group + 1);
+      sums[0] += solver.energy[group] - before;
+    }
   })[0];
-  for_each_touched(contacts, pairs,
-                   [&](uint32_t i) { sum += 0.5 * double(solver.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm(); });
-  return std::max(0.0, sum);  // at rest the sum is rounding noise around zero
+  sum = std::max(0.0, sum);  // at rest the sum is rounding noise around zero
+  body.anchors = 0;
+  for_each_touched(contacts, pairs, [&](uint32_t i) {
+    body.anchors += 0.5 * double(solver.rest[i].w) * (body.node[i] - model.node[i]).squaredNorm();
+  });
+  return sum + body.anchors;
 }
 
 }  // namespace crumple

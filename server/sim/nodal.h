@@ -8,8 +8,10 @@
 #include <cstdint>
 #include <vector>
 
+#include "sim/active_set.h"
 #include "sim/anderson.h"
 #include "sim/contacts.h"
+#include "sim/flow.h"
 #include "sim/kernels.h"
 #include "sim/pairs.h"
 #include "sim/step.h"
@@ -36,32 +38,33 @@ inline constexpr double small_share = 0.05;
 // Sweeps of one solver step: moduli are updated before the step, and Anderson's acceleration is applied after it (anderson.h).
 inline constexpr int sweeps_a_step = 2;
 
-// Tets that one sweep over the whole car visits, in whole groups.
-uint64_t sweep_work(const Model&);
-
 // The solver's memory of one tick, in the layout of its kernels (kernels.h), with the acceleration and the helpers.
 struct NodalSolver {
   std::vector<Float4> node, before, rest, direction;  // padded_nodes(n)
   std::vector<Float4> step_start;                     // nodes before the current step
   std::vector<Float4> stiffness;                      // t, padded to whole groups, + 1
   std::vector<TetLanes> tets;                         // per group of tets
-  std::vector<Weights> weights;                       // per row
+  std::vector<CornerWeights> weights;                 // 4 t, as SweepOrder::corner
   std::vector<uint8_t> region;                        // t, padded to whole groups
   std::vector<Law> law;                               // per region
+  std::vector<YieldLaw> yield;                        // per region
   std::vector<uint16_t> flowing;                      // per group of tets: bits of the tets beyond yield
-  std::vector<uint16_t> still;                        // per block
-  std::vector<uint16_t> touched;                      // per block
-  std::vector<uint8_t> awake;                         // per block: 0 at rest, 1 solved, 2 solved and has moved
-  std::vector<uint8_t> stirred;                       // per group: one of its blocks is awake
-  std::vector<ContactForce> contact_forces;           // per contact
-  std::vector<float> pair_stiffness;                  // n, of the nodes that touch another car: mean of its own block, N/m
-  double volume = 0;                                  // of all tets at rest, m^3
+  std::vector<uint8_t> loaded;                        // per group: tets, weights, energy and flowing are there
+  std::vector<double> energy;                         // per group: elastic energy, J
+  ActiveSet active;
+  ActiveSeeds seeds;
+  std::vector<ContactForce> contact_forces;  // per contact
+  std::vector<float> pair_stiffness;         // n, of the nodes that touch another car: mean of its own block, N/m
+  double volume = 0;                         // of all tets at rest, m^3
   AndersonStep last_step;
   Team* team = nullptr;  // the island's
 };
 
 // Before the first sub-step of a tick: copies the car's state into the layout of the kernels.
 void prepare_nodal(const Model&, const Parameters&, const DeformableState&, Team&, NodalSolver&);
+
+// Copies the stirred groups of tets into the layout of the kernels, as long as they are not there.
+void load_stirred(const Model&, const DeformableState&, NodalSolver&);
 
 struct SolveStats {
   uint32_t sweeps = 0;
@@ -88,7 +91,7 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact>, float h);
 // After solve_nodal(): plastic flow of the tets beyond yield. Returns the plastic work and the work of drag, J.
 double flow_nodal(const Model&, NodalSolver&, DeformableState&);
 
-// Elastic energy of the tets and of the springs on anchored nodes, J.
-double stored_nodal(const Model&, const ContactSet&, const PairIndex*, NodalSolver&, const DeformableState&);
+// Elastic energy of the tets and of the springs on anchored nodes, J. Keeps the part of the springs in the body.
+double stored_nodal(const Model&, const ContactSet&, const PairIndex*, NodalSolver&, DeformableState&);
 
 }  // namespace crumple

@@ -89,6 +89,7 @@ std::optional<Refusal> obey_order(World&, const Target& target, ParametersOrder&
   if (auto sentence = out_of_range(parameters)) return Refusal{Reason::out_of_range, "parameters." + *sentence};
   if (parameters.solver != target.car.parameters.solver) target.car.placed = true;  // `classic` touches no cars
   target.car.parameters = parameters;
+  target.car.body.step_seconds = 0;  // the whole body is solved next: its stresses may have changed
   return std::nullopt;
 }
 

@@ -16,7 +16,7 @@
 namespace crumple {
 namespace {
 
-constexpr uint32_t format = 9;                       // increase it with every change of a field
+constexpr uint32_t format = 10;                      // increase it with every change of a field
 constexpr uint64_t latest_tick = uint64_t{1} << 53;  // the largest tick that a double holds exactly
 
 [[noreturn]] void refuse(const std::string& fact) { throw std::runtime_error("the snapshot of the world is damaged: " + fact); }

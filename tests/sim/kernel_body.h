@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "box_car.h"
-#include "car/make_blocks.h"
 #include "car/make_boundary.h"
+#include "car/make_sweep_order.h"
 #include "sim/flow.h"
 #include "sim/nodal.h"
 
@@ -24,7 +24,7 @@ struct Mesh {
   Constraints constraints;
   Masses masses;
   std::vector<uint8_t> anchored, node_region, tet_region;
-  Blocks blocks;
+  SweepOrder order;
   Boundary boundary;
   Model model;
 
@@ -50,8 +50,8 @@ struct Mesh {
     model.mass = 1200;
     model.center_of_mass = masses.center;
     model.inertia = masses.inertia;
-    blocks = make_blocks(model);
-    model.blocks = &blocks;
+    order = make_sweep_order(model);
+    model.order = &order;
     boundary = make_boundary(model);
     model.boundary = &boundary;
   }
@@ -143,7 +143,7 @@ struct State {
       const float limit = parameters.region[mesh->tet_region[t]].plastic_limit;
       body.hardening[t] = std::min(limit, limit * 1.1f * float(random() % 1000) / 1000);
     }
-    prepare_nodal(mesh->model, parameters, body, team, solver);
+    load();
     for (uint32_t i = 0; i < body.node.size(); ++i) {
       const Vec3 rest = mesh->model.node[i];
       const float share = std::max(0.0f, rest.x() / 2.25f + 0.3f);
@@ -153,28 +153,37 @@ struct State {
       solver.rest[i] = {rest.x(), rest.y(), rest.z(), mesh->anchored[i] && random() % 2 ? 1e6f : 0.0f};
       solver.direction[i] = {0.02f * share * normal(random), 0.02f * share * normal(random), 0.02f * share * normal(random), 0};
     }
-    const Blocks& blocks = mesh->blocks;
+    const Blocks& blocks = solver.active.blocks;
     for (size_t b = 0; b < blocks.anchored.size(); ++b) {
-      solver.still[b] = blocks.anchored[b] ? uint16_t(0xffff) : blocks.unused[b];
-      solver.touched[b] = uint16_t(random() & random() & random() & ~unsigned(blocks.unused[b]));
-      solver.still[b] |= solver.touched[b];
-      solver.awake[b] = 1;
+      uint16_t& still = solver.active.still[b];
+      still = blocks.anchored[b] ? uint16_t(0xffff) : blocks.unused[b];
+      solver.active.touched[b] = uint16_t(random() & random() & random() & ~unsigned(blocks.unused[b]));
+      still |= solver.active.touched[b];
     }
   }
+  // Copies the whole body to the solver.
+  void load() {
+    prepare_nodal(mesh->model, parameters, body, team, solver);
+    wake_all(mesh->model, {}, solver.active);
+    std::fill(solver.active.awake.begin(), solver.active.awake.end(), uint8_t(1));  // the anchored nodes too
+    stir(mesh->model, {}, solver.active);
+    load_stirred(mesh->model, body, solver);
+    pack(mesh->model, {}, solver.weights, solver.active);
+  }
   size_t tets() const { return mesh->model.tet.size(); }
-  uint32_t groups() const { return uint32_t(mesh->blocks.group.size()); }
+  uint32_t groups() const { return uint32_t(mesh->order.group.size()); }
   TetView tet_view() const {
     TetView view{};
     view.node = solver.node.data();
-    view.group = mesh->blocks.group.data();
+    view.group = mesh->order.group.data();
     view.tet = solver.tets.data();
     view.region = solver.region.data();
     view.law = solver.law.data();
-    view.stirred = solver.stirred.data();
+    view.stirred = solver.active.stirred.data();
     return view;
   }
   NodeView node_view() {
-    const Blocks& blocks = mesh->blocks;
+    const Blocks& blocks = solver.active.blocks;
     NodeView view{};
     view.node = solver.node.data();
     view.before = solver.before.data();
@@ -184,15 +193,9 @@ struct State {
     view.row = blocks.row.data();
     view.anchored = blocks.anchored.data();
     view.rows = blocks.rows.data();
-    view.weights = solver.weights.data();
-    view.still = solver.still.data();
-    view.touched = solver.touched.data();
-    view.awake = solver.awake.data();
-    view.stirred = solver.stirred.data();
-    view.near_first = blocks.near_first.data();
-    view.near = blocks.near.data();
-    view.over_first = blocks.over_first.data();
-    view.over = blocks.over.data();
+    view.weights = blocks.weights.data();
+    view.still = solver.active.still.data();
+    view.touched = solver.active.touched.data();
     view.relaxation = relaxation;
     return view;
   }
@@ -201,7 +204,7 @@ struct State {
   }
   double flow(const Kernels& kernel) { return kernel.flow(tet_view(), solver.tets.data(), 0, groups(), solver.flowing.data()); }
   void visit(const Kernels& kernel, NodeView view) const {
-    const auto& colour = mesh->blocks.colour;
+    const auto& colour = solver.active.blocks.colour;
     for (size_t c = 0; c + 1 < colour.size(); ++c) kernel.relax_nodes(view, colour[c], colour[c + 1]);
   }
   // The present shape of the tet.

@@ -17,85 +17,102 @@ using Matrix3d = Eigen::Matrix3d;
 
 // ---- the order of visits --------------------------------------------------------------------------------------------------
 
-TEST(Blocks, HaveEveryCornerOfEveryTetOnceAndSeeThePositiveSideOfItsFace) {
+TEST(SweepOrder, HasEveryCornerOfEveryTetOnceAndSeesThePositiveSideOfItsFace) {
   for (const auto& mesh : meshes()) {
-    const Blocks& blocks = mesh->blocks;
-    const uint32_t n = uint32_t(mesh->model.node.size()), t = uint32_t(mesh->model.tet.size());
-    std::vector<uint32_t> block_of(blocks.rows.size());
-    for (uint32_t b = 0; b < blocks.anchored.size(); ++b) {
-      for (uint32_t r = blocks.row[b]; r < blocks.row[b + 1]; ++r) block_of[r] = b;
-    }
+    const Model& model = mesh->model;
+    ASSERT_EQ(mesh->order.corner.size(), 4 * model.tet.size());
     std::set<uint32_t> used;
-    for (uint32_t corner = 0; corner < 4 * t; ++corner) {
-      const uint32_t slot = blocks.slot[corner], row = slot / lanes, lane = slot % lanes;
-      ASSERT_LT(row, blocks.rows.size());
+    for (uint32_t k = 0; k < 4 * model.tet.size(); ++k) {
+      const uint32_t slot = mesh->order.slot[k], node = model.tet[k / 4].node[k % 4];
       EXPECT_TRUE(used.insert(slot).second);
-      const Row& own = blocks.rows[row];
-      const uint32_t node = mesh->model.tet[corner / 4].node[corner % 4];
-      EXPECT_EQ(own.tet[lane], corner / 4);
-      EXPECT_EQ(blocks.node[lanes * block_of[row] + lane], node);
-      const uint32_t* of_tet = mesh->model.tet[corner / 4].node;
-      EXPECT_EQ((std::set<uint32_t>{node, own.other[0][lane], own.other[1][lane], own.other[2][lane]}),
-                std::set<uint32_t>(of_tet, of_tet + 4));
-      EXPECT_GT(tet_volume(mesh->model.node[node], mesh->model.node[own.other[0][lane]], mesh->model.node[own.other[1][lane]],
-                           mesh->model.node[own.other[2][lane]]),
-                0);
-    }
-    for (uint32_t slot = 0; slot < lanes * blocks.rows.size(); ++slot) {
-      if (used.contains(slot)) continue;
-      const Row& own = blocks.rows[slot / lanes];
-      EXPECT_EQ(own.tet[slot % lanes], t);
-      for (const auto& other : own.other) EXPECT_EQ(other[slot % lanes], n);
+      EXPECT_GE(slot, model.node_first[node]);
+      EXPECT_LT(slot, model.node_first[node + 1]);
+      const Corner& corner = mesh->order.corner[slot];
+      EXPECT_EQ(corner.tet, k / 4);
+      EXPECT_EQ((std::set<uint32_t>{node, corner.other[0], corner.other[1], corner.other[2]}),
+                std::set<uint32_t>(model.tet[k / 4].node, model.tet[k / 4].node + 4));
+      EXPECT_GT(
+          tet_volume(model.node[node], model.node[corner.other[0]], model.node[corner.other[1]], model.node[corner.other[2]]),
+          0);
     }
   }
 }
 
-TEST(Blocks, HaveEveryNodeOnceAndMarkTheLanesThatAreLeftOver) {
+TEST(SweepOrder, NodesOfOneColourShareNoTet) {
   for (const auto& mesh : meshes()) {
-    const Blocks& blocks = mesh->blocks;
-    const uint32_t n = uint32_t(mesh->model.node.size());
-    ASSERT_EQ(blocks.node.size(), lanes * blocks.anchored.size());
-    ASSERT_EQ(blocks.row.size(), blocks.anchored.size() + 1);
-    EXPECT_EQ(blocks.row.back(), blocks.rows.size());
-    for (uint32_t i = 0; i < n; ++i) EXPECT_EQ(blocks.node[blocks.place[i]], i);
-    uint32_t found = 0;
-    for (uint32_t place = 0; place < blocks.node.size(); ++place) {
-      const uint32_t node = blocks.node[place];
-      const bool unused = blocks.unused[place / lanes] >> (place % lanes) & 1;
-      EXPECT_EQ(unused, node == n);
-      if (unused) continue;
-      ++found;
-      EXPECT_EQ(blocks.anchored[place / lanes], mesh->anchored[node]);
+    const SweepOrder& order = mesh->order;
+    ASSERT_EQ(order.colour.front(), 0u);
+    ASSERT_EQ(order.colour.back(), order.node.size());
+    ASSERT_EQ(std::set<uint32_t>(order.node.begin(), order.node.end()).size(), mesh->model.node.size());
+    std::vector<size_t> colour(order.node.size());
+    for (size_t c = 0; c + 1 < order.colour.size(); ++c) {
+      for (uint32_t k = order.colour[c]; k < order.colour[c + 1]; ++k) colour[order.node[k]] = c;
     }
-    EXPECT_EQ(found, n);
-  }
-}
-
-TEST(Blocks, NodesOfOneColourShareNoTet) {
-  for (const auto& mesh : meshes()) {
-    const Blocks& blocks = mesh->blocks;
-    ASSERT_EQ(blocks.colour.front(), 0u);
-    ASSERT_EQ(blocks.colour.back(), blocks.anchored.size());
-    const auto colour = [&](uint32_t node) {
-      const uint32_t block = blocks.place[node] / lanes;
-      return std::upper_bound(blocks.colour.begin(), blocks.colour.end(), block) - blocks.colour.begin();
-    };
     for (const Tet& tet : mesh->model.tet) {
-      std::set<ptrdiff_t> colours;
-      for (uint32_t node : tet.node) colours.insert(colour(node));
+      std::set<size_t> colours;
+      for (uint32_t node : tet.node) colours.insert(colour[node]);
       EXPECT_EQ(colours.size(), 4u);
     }
   }
 }
 
-TEST(Blocks, GroupsHaveTheTetsInTheirOrder) {
+TEST(SweepOrder, GroupsHaveTheTetsInTheirOrder) {
   for (const auto& mesh : meshes()) {
     const uint32_t n = uint32_t(mesh->model.node.size()), t = uint32_t(mesh->model.tet.size());
-    ASSERT_EQ(mesh->blocks.group.size(), (t + lanes - 1) / lanes);
-    for (uint32_t i = 0; i < lanes * mesh->blocks.group.size(); ++i) {
+    ASSERT_EQ(mesh->order.group.size(), (t + lanes - 1) / lanes);
+    for (uint32_t i = 0; i < lanes * mesh->order.group.size(); ++i) {
       for (int k = 0; k < 4; ++k) {
-        EXPECT_EQ(mesh->blocks.group[i / lanes].node[k][i % lanes], i < t ? mesh->model.tet[i].node[k] : n);
+        EXPECT_EQ(mesh->order.group[i / lanes].node[k][i % lanes], i < t ? mesh->model.tet[i].node[k] : n);
       }
+    }
+  }
+}
+
+TEST(Blocks, HaveEveryAwakeNodeOnceWithAllItsTets) {
+  std::mt19937 random(4);
+  for (const auto& mesh : meshes()) {
+    const Model& model = mesh->model;
+    const uint32_t n = uint32_t(model.node.size()), t = uint32_t(model.tet.size());
+    std::vector<CornerWeights> weights(4 * t);
+    for (uint32_t k = 0; k < 4 * t; ++k) weights[k] = {{float(k), float(k) + 0.25f, float(k) + 0.5f}};
+    Blocks blocks;
+    for (const unsigned sleepy : {0u, 3u, 9u}) {  // of ten
+      std::vector<uint8_t> awake(n);
+      for (uint8_t& each : awake) each = random() % 10 >= sleepy;
+      pack(model, awake, weights, blocks);
+      ASSERT_EQ(blocks.colour.size(), mesh->order.colour.size());
+      ASSERT_EQ(blocks.colour.back(), blocks.anchored.size());
+      ASSERT_EQ(blocks.node.size(), lanes * blocks.anchored.size());
+      ASSERT_EQ(blocks.row.size(), blocks.anchored.size() + 1);
+      std::set<uint32_t> found;
+      for (uint32_t place = 0; place < blocks.node.size(); ++place) {
+        const uint32_t node = blocks.node[place], block = place / lanes, lane = place % lanes;
+        const bool unused = blocks.unused[block] >> lane & 1;
+        ASSERT_EQ(unused, node == n);
+        uint32_t row = blocks.row[block];
+        if (!unused) {
+          EXPECT_TRUE(awake[node]);
+          EXPECT_TRUE(found.insert(node).second);
+          EXPECT_EQ(blocks.place[node], place);
+          EXPECT_EQ(blocks.anchored[block], mesh->anchored[node]);
+          for (uint32_t k = model.node_first[node]; k < model.node_first[node + 1]; ++k, ++row) {
+            const Corner& corner = mesh->order.corner[k];
+            EXPECT_EQ(blocks.rows[row].tet[lane], corner.tet);
+            for (int o = 0; o < 3; ++o) {
+              EXPECT_EQ(blocks.rows[row].other[o][lane], corner.other[o]);
+              EXPECT_EQ(blocks.weights[row].other[o][lane], weights[k].other[o]);
+            }
+          }
+        }
+        for (; row < blocks.row[block + 1]; ++row) {
+          EXPECT_EQ(blocks.rows[row].tet[lane], t);
+          for (int o = 0; o < 3; ++o) {
+            EXPECT_EQ(blocks.rows[row].other[o][lane], n);
+            EXPECT_EQ(blocks.weights[row].other[o][lane], 0);
+          }
+        }
+      }
+      EXPECT_EQ(found.size(), size_t(std::count(awake.begin(), awake.end(), 1)));
     }
   }
 }
@@ -226,14 +243,15 @@ TEST(SameBits, CompareProductsAndCombineOfMoreThanOneStretch) {
 // A wall moves 0.3 m into the front and back, computed with kernels only.
 State& crash(const Kernels& kernel, State& state) {
   NodalSolver& s = state.solver;
-  for (size_t b = 0; b < s.touched.size(); ++b) {
-    s.still[b] = s.touched[b] = 0;
+  for (size_t b = 0; b < s.active.touched.size(); ++b) {
+    s.active.still[b] = s.active.touched[b] = 0;
     for (int lane = 0; lane < lanes; ++lane) {
-      const uint32_t i = state.mesh->blocks.node[lanes * b + size_t(lane)];
+      const uint32_t i = state.solver.active.blocks.node[lanes * b + size_t(lane)];
       const bool front = i < state.mesh->model.node.size() && state.mesh->model.node[i].x() > 2.2f;
-      s.touched[b] |= uint16_t(front << lane);
+      s.active.touched[b] |= uint16_t(front << lane);
     }
-    s.still[b] = uint16_t(s.touched[b] | (state.mesh->blocks.anchored[b] ? 0xffff : state.mesh->blocks.unused[b]));
+    s.active.still[b] = uint16_t(s.active.touched[b] |
+                                 (state.solver.active.blocks.anchored[b] ? 0xffff : state.solver.active.blocks.unused[b]));
   }
   Told told{state, {}};
   NodeView view = state.node_view();
@@ -337,7 +355,8 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       std::vector<int> times;
     } heard{std::vector<Vector3d>(model.node.size()), std::vector<Matrix3d>(model.node.size()),
             std::vector<int>(model.node.size(), 0)};
-    for (size_t b = 0; b < own->solver.touched.size(); ++b) own->solver.touched[b] = uint16_t(~own->mesh->blocks.unused[b]);
+    for (size_t b = 0; b < own->solver.active.touched.size(); ++b)
+      own->solver.active.touched[b] = uint16_t(~own->solver.active.blocks.unused[b]);
     NodeView view = own->node_view();
     view.measure = true;
     view.context = &heard;
@@ -359,17 +378,17 @@ TEST(Twin, VisitHasTheGradientAndHessianOfTheEnergyAndGoesToItsLowestPoint) {
       EXPECT_LT((heard.hessian[i] - expected.hessian).norm(), 1e-4 * expected.hessian.norm()) << "node " << i;
     }
     // Now it moves the first colour: nodes that share no tet.
-    std::fill(own->solver.touched.begin(), own->solver.touched.end(), uint16_t(0));
+    std::fill(own->solver.active.touched.begin(), own->solver.active.touched.end(), uint16_t(0));
     std::vector<Plain> expected;
     for (uint32_t i = 0; i < model.node.size(); ++i) expected.push_back(plain(*own, i));
     view.measure = false;
-    const uint32_t last = own->mesh->blocks.colour[1];
+    const uint32_t last = own->solver.active.blocks.colour[1];
     kernel.relax_nodes(view, 0, last);
     int moved = 0;
     for (uint32_t i = 0; i < model.node.size(); ++i) {
-      const uint32_t place = own->mesh->blocks.place[i];
+      const uint32_t place = own->solver.active.blocks.place[i];
       const Vector3d was(before[i].x, before[i].y, before[i].z);
-      const bool free = place / lanes < last && !(own->solver.still[place / lanes] >> (place % lanes) & 1);
+      const bool free = place / lanes < last && !(own->solver.active.still[place / lanes] >> (place % lanes) & 1);
       const Vector3d step =
           free ? Vector3d(-double(relaxation) * (expected[i].hessian.inverse() * expected[i].gradient)) : Vector3d::Zero();
       EXPECT_LE((own->position(i).cast<double>() - was - step).norm(), 1e-3 * step.norm() + (free ? 1e-6 : 0)) << "node " << i;
@@ -420,7 +439,7 @@ TEST(Twin, RenewForgetsTheSofteningOfTetsThatDidNotFlow) {
     SCOPED_TRACE(kernel->name);
     auto own = std::make_unique<State>(box({9, 4, 3}), 3u, 0.0f);
     own->body = make_body(own->mesh->model);
-    prepare_nodal(own->mesh->model, own->parameters, own->body, own->team, own->solver);
+    own->load();
     const auto mirror = [&](float by) {
       for (uint32_t i = 0; i < own->body.node.size(); ++i) {
         const Vec3& rest = own->mesh->model.node[i];

@@ -376,7 +376,7 @@ std::vector<uint64_t> hashes(int threads) {
 }
 
 TEST(Levels, AWorldSavedInMidCrashOnABudgetGoesOnBitForBit) {
-  for (int ticks : {1, 8, 10}) {
+  for (int ticks : {1, 8, 9}) {
     if (sanitized && ticks != 8) continue;  // the same code
     Scene scene, copy;
     drive_forty(scene);
@@ -390,7 +390,7 @@ TEST(Levels, AWorldSavedInMidCrashOnABudgetGoesOnBitForBit) {
       copy.step(inbox);
       ASSERT_EQ(hash(*copy.world), hash(*scene.world)) << ticks << " and " << k << " ticks";
     }
-    EXPECT_GT(most, 0u);
+    EXPECT_GT(most, 0u) << ticks;
   }
 }
 
