@@ -135,8 +135,10 @@ class Host:
                         try:
                             pose = self.crumple.Pose((missing[0].start, LANE * missing[0].lane, 0.0))
                             session.spawn(missing[0].id, missing[0].asset, pose)
-                        except self.crumple.Refused:
-                            pass  # the car is already there
+                        except self.crumple.Refused:  # it is already there; dented too deeply, a probe touches its wall no more
+                            if missing[0].probe:
+                                session.repair(missing[0].id)
+                                missing[0].repaired()
                         missing.pop(0)
                 elif time.monotonic() > mended + MENDED and not self.calm:
                     mended = time.monotonic()
@@ -152,8 +154,6 @@ class Host:
             if car is None:
                 continue
             car.take(reaction, step)
-            if not car.probe:
-                continue
             number = round(float(reaction.velocity[2]) / UNIT)
             sequence = self.sent - (self.sent - number) % NUMBERS
             if sequence <= self.confirmed:

@@ -12,18 +12,34 @@ import sys
 import tempfile
 import unittest
 
+import flatbuffers
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 import crumple
+from crumple.schema.Answer import AnswerT
+from crumple.schema.Command import CommandT
 from crumple.schema.Delta import Delta
 from crumple.schema.Keyframe import Keyframe
+from crumple.schema.Order import Order
+from crumple.schema.Pose import PoseT
+from crumple.schema.Quat import QuatT
+from crumple.schema.Spawn import SpawnT
+from crumple.schema.Vec3d import Vec3dT
 from live_server import CAR, LIBRARY, PATIENCE, PROGRAM, ROOT, WithServer
 
 
 def output(*command, **options):
     return subprocess.run([*map(str, command)], check=True, text=True, stdout=subprocess.PIPE, **options).stdout
+
+
+def packed(thing, **fields):
+    for field, value in fields.items():
+        setattr(thing, field, value)
+    builder = flatbuffers.Builder()
+    builder.Finish(thing.Pack(builder))
+    return bytes(builder.Output())
 
 
 class TheLibrary(unittest.TestCase):
@@ -39,6 +55,30 @@ class TheLibrary(unittest.TestCase):
 
 
 class TheReader(unittest.TestCase):
+    def test_pairs_commands_of_one_tick_with_their_answers(self):
+        """A stranger may send a command that is none, for the car that a host spawns in the same tick."""
+        position, turn = Vec3dT(), QuatT()
+        position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w = 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0
+        spawn = SpawnT()
+        spawn.pose, spawn.asset, spawn.host = PoseT(), "asset", "game"
+        spawn.pose.position, spawn.pose.orientation = position, turn
+        command = packed(CommandT(), orderType=Order.Spawn, order=spawn)
+        path = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory())) / "commands.mcap"
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start("crumple", "test")
+            writer.add_metadata("crumple", {"scene": "main", "rate": "60", "program": "test"})
+            schema = writer.register_schema("S", "", b"")
+            channels = {key: writer.register_channel(f"crumple/1/main/{key}", "", schema)
+                        for key in ("car/a", "car/a/answer", "tick")}
+            for key, data in (("car/a", command), ("car/a", b"no command"), ("car/a/answer", packed(AnswerT(), ok=True)),
+                              ("car/a/answer", packed(AnswerT(), ok=False, error="none")), ("tick", b"")):
+                writer.add_message(channels[key], 0, data, 0, sequence=7)
+            writer.finish()
+        with crumple.Recording(path) as recording:
+            life, = recording.lives
+            self.assertEqual((life.car, life.host, life.asset), ("a", "game", "asset"))
+
     def test_unpacks_no_chunk_that_fills_the_memory(self):
         def write(size, compression, byte):
             path = pathlib.Path(self.enterContext(tempfile.TemporaryDirectory())) / "bomb.mcap"

@@ -71,5 +71,57 @@ TEST(Door, AskersThatTakeALongAnswerSlowlyDeafenNobody) {
   std::printf("a host was unheard for %.3f s at most\n", longest.count());
 }
 
+// Answers to an asker that takes nothing wait in several threads. Each waited in turn for its own second, and the thread that
+// sends on all links waited for them when it closed this one.
+TEST(Door, AnAskerThatTakesNoneOfManyAnswersDeafensNobody) {
+  constexpr int questions = 16;  // twice the answering threads
+  const Session server = open_session("peer", "tcp/127.0.0.1:0", nullptr);
+  const std::string endpoint = net_endpoint(server.get());
+  ASSERT_EQ(net_queryable(server.get(), "crumple/1/main/car/*/key/*", 100, NET_LONGEST), 0);
+  ASSERT_EQ(net_subscribe(server.get(), "crumple/1/main/host/*/poses", 1000, NET_LONGEST), 0);
+  const Session host = open_session("client", nullptr, endpoint.c_str());
+  constexpr const char* reactions_key = "crumple/1/main/host/game/reactions";
+  ASSERT_EQ(net_subscribe(host.get(), reactions_key, 1000, NET_LONGEST), 0);
+  ImpairedLink line(endpoint, {});
+  const Session asker = open_session("client", nullptr, line.endpoint().c_str());
+
+  NetEvent events[64];
+  uint64_t ticket = 0;
+  std::vector<uint64_t> asked;
+  for (int i = 0; i < questions; ++i)
+    ASSERT_EQ(net_get(asker.get(), "crumple/1/main/car/box/key/0", nullptr, 0, 60'000, &ticket), 0);
+  for (const auto end = Clock::now() + patience; asked.size() < questions && Clock::now() < end;) {
+    const int got = net_poll(server.get(), events, 64, 50'000);
+    for (int k = 0; k < got; ++k) {
+      if (events[k].kind == NET_QUERY) asked.push_back(events[k].ticket);
+    }
+  }
+  ASSERT_EQ(asked.size(), size_t{questions});
+  line.set(LinkState::stalled);
+  const std::string answer(8 << 20, 'x');
+  for (const uint64_t one : asked) net_reply(server.get(), one, answer.data(), answer.size(), 0);  // refused if too many wait
+
+  std::chrono::duration<double> longest{};
+  const auto end = Clock::now() + std::chrono::seconds(8);
+  for (uint64_t said = 1; Clock::now() < end; ++said) {
+    const auto begun = Clock::now();
+    until_heard(host.get(), server.get(), said);
+    bool back = false;
+    for (auto resent = begun; !back && Clock::now() < begun + patience;) {
+      if (Clock::now() >= resent) {  // a sample may be lost
+        ASSERT_EQ(net_put(server.get(), reactions_key, &said, sizeof said, NET_REAL_TIME), 0);
+        resent = Clock::now() + std::chrono::milliseconds(50);
+      }
+      const int got = net_poll(host.get(), events, 64, 50'000);
+      for (int k = 0; k < got; ++k)
+        back |= events[k].kind == NET_SAMPLE && std::memcmp(events[k].data, &said, sizeof said) == 0;
+    }
+    longest = std::max<std::chrono::duration<double>>(longest, Clock::now() - begun);
+  }
+  EXPECT_LT(longest, std::chrono::seconds(1)) << "a host was unheard, or its reaction did not come";
+  std::printf("a host waited for %.3f s at most\n", longest.count());
+  line.set(LinkState::cut);
+}
+
 }  // namespace
 }  // namespace crumple

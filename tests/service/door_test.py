@@ -13,6 +13,7 @@ import pathlib
 import queue
 import random
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -156,6 +157,17 @@ class Door(WithServer):
         self.assertGreater(after["received_dropped"], 0, "keys that are too long or hold a zero")
         self.assertEqual((after["cars"], after["hosts"], after["obstacles"]), (0, 0, 0))
         self.assertEqual(before["cars"], 0)
+
+    def test_a_server_without_descriptors_for_its_first_session_lives_on(self):
+        """Zenoh begins its sending threads with the first session, which takes descriptors; without them it panicked."""
+        server, endpoint = self.start("serve", "--car", CAR, "--threads", "1", "--listen", "tcp/127.0.0.1:0")
+        _, most = resource.prlimit(server.pid, resource.RLIMIT_NOFILE)
+        resource.prlimit(server.pid, resource.RLIMIT_NOFILE, (len(os.listdir(f"/proc/{server.pid}/fd")) + 1, most))
+        with contextlib.suppress(zenoh.ZError):
+            self.open(**{"connect/endpoints": [endpoint], "connect/timeout_ms": 2_000})
+        resource.prlimit(server.pid, resource.RLIMIT_NOFILE, (min(1024, most), most))
+        server.terminate()
+        self.assertEqual(server.wait(PATIENCE), 0)
 
     def test_questions_that_bring_megabytes_are_refused_and_not_kept(self):
         stranger = self.open()

@@ -23,6 +23,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
+use zenoh_runtime::ZRuntime;
 
 /// Samples that wait for the publishing thread. It lags only while zenoh waits for a slow link (1 ms per sample at most).
 const PUT_BYTES: usize = 32 << 20;
@@ -122,6 +123,7 @@ pub struct Net {
 impl Net {
     pub fn open(mode: &str, listen: &[&str], connect: &[&str], overlay: Option<&str>, timeout_ms: u32) -> Result<Net, Fail> {
         let config = config::build(mode, listen, connect, overlay, timeout_ms)?;
+        begin_threads();
         let session = zenoh::open(config).wait().map_err(|e| {
             let (verb, ends, remedy) = match mode {
                 "client" => ("connect to", connect, "is a server running there?"),
@@ -326,6 +328,13 @@ impl Net {
 
     fn ask(&self, ask: Ask, bytes: usize) -> Result<(), Fail> {
         self.asks.push(ask, bytes).map_err(|(refused, _)| refusal(refused))
+    }
+}
+
+/// zenoh begins its threads when it first needs them. If no descriptors are left then, as when strangers hold them all, it panics.
+fn begin_threads() {
+    for runtime in [ZRuntime::Application, ZRuntime::Acceptor, ZRuntime::TX, ZRuntime::RX, ZRuntime::Net] {
+        let _: &tokio::runtime::Handle = &runtime;
     }
 }
 

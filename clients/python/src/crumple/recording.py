@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -275,14 +276,14 @@ class Recording:
     def lives(self) -> list[Life]:
         """Which cars lived, and when."""
         lives: list[Life] = []
-        asked: dict[str, bytes] = {}  # not parsed yet, because a refused command may be any bytes
+        asked: dict[str, deque[bytes]] = {}  # in the order of their answers; not parsed, because a refused command may be any bytes
         commands = self._messages(lambda key: key.startswith("car/") and (key.count("/") == 1 or key.endswith("/answer")))
         for tick, _, key, data in commands:
             car = key.split("/")[1]
             if not key.endswith("/answer"):
-                asked[car] = data
+                asked.setdefault(car, deque()).append(data)
                 continue
-            order = asked.pop(car, None)
+            order = asked[car].popleft() if asked.get(car) else None
             if order is None or not Answer.GetRootAs(data).Ok():
                 continue
             command = Command.GetRootAs(order)
