@@ -90,6 +90,7 @@ std::optional<Refusal> obey_order(World&, const Target& target, ParametersOrder&
   if (parameters.solver != target.car.parameters.solver) target.car.placed = true;  // `classic` touches no cars
   target.car.parameters = parameters;
   target.car.body.step_seconds = 0;  // the whole body is solved next: its stresses may have changed
+  target.car.hashes.body = hash(target.car.body);
   return std::nullopt;
 }
 

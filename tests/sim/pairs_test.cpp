@@ -124,8 +124,8 @@ TEST(Law, CarsRubWithTheGeometricMeanOfTheirFriction) {
   };
   EXPECT_NEAR(sideways(0, 0.8f), sideways(0, 0), 1e-6);
   EXPECT_NEAR(sideways(0.1f, 0.4f), sideways(0.2f, 0.2f), 1e-6);
-  EXPECT_GT(sideways(0.2f, 0.2f), sideways(0, 0) + 0.05);
-  EXPECT_GT(sideways(0.4f, 0.4f), sideways(0.2f, 0.2f) + 0.01);
+  EXPECT_GT(sideways(0.1f, 0.1f), sideways(0, 0) + 0.05);
+  EXPECT_GT(sideways(0.2f, 0.2f), sideways(0.1f, 0.1f) + 0.005);  // with more, the boxes stick
 }
 
 TEST(Law, TwoCarsInEachOthersWayCrushAsInAFrictionlessWall) {
