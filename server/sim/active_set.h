@@ -1,6 +1,8 @@
-// The nodes of a car that a sub-step solves. A node is awake if something touches it, or if it lies within two tets of a node
-// that moves by more than a share of the largest way in this sub-step. All others keep still. The threshold is relative because
-// an absolute threshold fails in slow pushes: there each sub-step moves less than any threshold that saves time in a crash.
+// The nodes of a car that a sub-step solves. When it begins, a node is awake if something touches it, or if it lies within two
+// tets of a touched node or of one that moved by more than a share of the largest way in the last sub-step. A node that begins
+// to move so far in this one wakes its sleeping neighbours, and these wake theirs. All others keep still. The threshold is
+// relative because an absolute threshold fails in slow pushes: there each sub-step moves less than any threshold that saves
+// time in a crash.
 #pragma once
 
 #include <cstdint>

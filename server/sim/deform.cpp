@@ -66,6 +66,11 @@ float seconds_of(std::span<Member> island, const PairGroup& group, const Substep
   return float(now.seconds) * touchdown.rest();
 }
 
+// The nodes of a member that touch other cars. Null: none, though the others of the group may touch one another.
+const PairIndex* touched(const PairGroup& group, size_t member) {
+  return group.contact.empty() || group.index[member].node.empty() ? nullptr : &group.index[member];
+}
+
 // Finds the new shapes of the group's bodies.
 void solve(std::span<Member> island, PairGroup& group, const Substep& now, float h, Timer* timer) {
   const StageTimer stage(timer, SolveStage::solve);
@@ -74,7 +79,7 @@ void solve(std::span<Member> island, PairGroup& group, const Substep& now, float
     Member& member = island[group.member[k]];
     auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
     DeformableState& body = member.state.body;
-    const PairIndex* index = group.contact.empty() ? nullptr : &group.index[k];
+    const PairIndex* index = touched(group, k);
     index_contacts(member.input.model.node.size(), contacts);
     hold_anchors(member.input.model, index, contacts, body);
     start = body.node;
@@ -110,15 +115,17 @@ void step(std::span<Member> island, PairGroup& group, const Substep& now, Timer*
     body.absorbed += taken;
     spring -= taken;
     const double before = body.stored;
-    body.stored = stored_nodal(member.input.model, contacts, group.contact.empty() ? nullptr : &group.index[k], solver, body);
+    body.stored = stored_nodal(member.input.model, contacts, touched(group, k), solver, body);
     // Nothing works on a free body. What it stores more, it took back from the flow (revert_inverted).
-    const bool free = !body.touching && contacts.contact.empty() && group.contact.empty();
+    const bool free = !body.touching && contacts.contact.empty() && !touched(group, k);
     if (body.lost && free) body.absorbed -= std::clamp(body.stored - before, 0.0, body.absorbed);
   }
   react(island, group, now, double(h));
   remember_pairs(island, group);
   for (uint32_t k : group.member) {
     auto& [body, motion, result, spring] = island[k].state;
+    // What was let go while the rest moved may have kept still since then: only a solve of all nodes tells that a body rests.
+    if (!island[k].scratch.solver.active.whole) body.settled = false;
     // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
     if (body.force.norm() * double(h) > double(settle_speed) * island[k].input.mass.mass) body.settled = false;
     ++result.substeps;

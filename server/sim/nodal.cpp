@@ -481,13 +481,14 @@ void choose_active(const NodalPart& part, float quiet, bool held) {
   const DeformableState& body = part.body;
   solver.seeds.touched.clear();
   for_each_touched(part.contacts, part.pairs, [&](uint32_t node) { solver.seeds.touched.push_back(node); });
-  const bool moved =
-      std::any_of(body.step.begin(), body.step.end(), [&](const Vec3& step) { return step.squaredNorm() > quiet * quiet; });
-  const bool unknown = body.step_seconds == 0 && !is_undamaged(model, body);
+  const float last_quiet = quiet / part.share;  // of the last sub-step, which may have been longer or shorter
+  const bool moved = std::any_of(body.step.begin(), body.step.end(),
+                                 [&](const Vec3& step) { return step.squaredNorm() > last_quiet * last_quiet; });
+  const bool unknown = body.step_seconds == 0 && (body.stored != 0 || !is_undamaged(model, body));
   if (body.lost || unknown || part.input.parameters.tolerance == 0 || (!moved && (!held || !body.settled))) {
     wake_all(model, solver.seeds, solver.active);
   } else {
-    wake(model, solver.seeds, body.step, quiet, solver.active);
+    wake(model, solver.seeds, body.step, last_quiet, solver.active);
   }
   gather(model, body, solver);
 }
@@ -604,12 +605,19 @@ double press_pairs(std::span<NodalPart> parts, std::span<PairContact> contacts) 
     const Vec3 node = vec(parts[contact.car[0]].solver.node[contact.node]);
     const PairForce force = pair_force(contact, node, point_of(contact, parts[contact.car[1]].solver));
     pressed_depth(parts, contact) = force.normal / contact.stiffness;
-    contact.rub = force.friction;
     change += double(force.normal - contact.pressure) * double(force.normal - contact.pressure);
     now += double(force.normal) * double(force.normal);
     start += double(contact.start_pressure) * double(contact.start_pressure);
   }
   return change > 0 ? std::sqrt(change / std::max(now, start)) : 0;
+}
+
+// After a step that was not undone: the friction of its pressures before read_pressures().
+void rub_pairs(std::span<const NodalPart> parts, std::span<PairContact> contacts) {
+  for (PairContact& contact : contacts) {
+    const Vec3 node = vec(parts[contact.car[0]].solver.node[contact.node]);
+    contact.rub = pair_force(contact, node, point_of(contact, parts[contact.car[1]].solver)).friction;
+  }
 }
 
 // After the acceleration has undone a step or mixed it with others.
@@ -738,6 +746,7 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
     for (NodalPart& part : parts) part.stats.work += uint64_t(done - begin) * part.solver.active.corners / 4;
     const bool pressed = press_pairs(parts, contacts) <= pressed_share;
     compare(steps);
+    if (parts.front().solver.last_step.compared) rub_pairs(parts, contacts);
     read_pressures(parts, contacts);
     if (pressed && std::all_of(parts.begin(), parts.end(), [&](NodalPart& part) { return is_solved(part, h); })) break;
     if (done < iterations) {

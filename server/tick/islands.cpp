@@ -111,6 +111,7 @@ void forget_placed(const std::vector<Instance*>& cars) {
     const size_t pushes = std::erase_if(memory.push, [&](const PairMemory::Push& push) { return is_forgotten(push.partner); });
     const size_t touches =
         std::erase_if(memory.touch, [&](const PairMemory::Touch& touch) { return is_forgotten(touch.partner); });
+    if (touches > 0) car->body.history = {};  // it has pressures of the other car
     const size_t neighbours = std::erase_if(memory.near, [&](uint64_t key) { return is_forgotten(key) && !passes(key); });
     if (pushes + touches + neighbours > 0) car->hashes.body = hash(car->body);
   }
