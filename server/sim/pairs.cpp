@@ -83,7 +83,7 @@ class Grid {
       const Bounds around = bounds_of(boundary.triangle[triangle], node);
       cell_ = std::max(cell_, (around.high - around.low).maxCoeff() / cells_of_triangle);
     }
-    for (int k = 0; k < 3; ++k) size_[k] = std::clamp(int((box.high[k] - box.low[k]) / cell_) + 1, 1, most_cells);
+    for (int k = 0; k < 3; ++k) size_[k] = 1 + whole((box.high[k] - box.low[k]) / cell_, most_cells - 1);
     first_.assign(size_t(size_[0]) * size_t(size_[1]) * size_t(size_[2]) + 2, 0);
     const auto for_each = [&](const auto& visit) {
       for (uint32_t triangle : triangles) {
@@ -111,7 +111,10 @@ class Grid {
   }
 
  private:
-  int along(float x, int axis) const { return int(std::clamp((x - box_.low[axis]) / cell_, 0.0f, float(size_[axis] - 1))); }
+  int along(float x, int axis) const { return whole((x - box_.low[axis]) / cell_, size_[axis] - 1); }
+  // Rounded down, at least 0, at most `most`. A body that has just burst has nodes at infinity until its tick is undone: then
+  // the ratio may be no number.
+  static int whole(float ratio, int most) { return ratio > 0 ? int(std::min(ratio, float(most))) : 0; }
   size_t index(int x, int y, int z) const { return size_t((z * size_[1] + y) * size_[0] + x); }
 
   Bounds box_;
