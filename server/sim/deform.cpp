@@ -1,148 +1,37 @@
 #include "sim/deform.h"
 
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
 #include "sim/classic.h"
-#include "sim/energy_balance.h"
 #include "sim/rest.h"
 #include "sim/scratch.h"
+#include "sim/step_group.h"
 
 namespace crumple {
 namespace {
 
-// The length of the body's last sub-step, s.
-float last_seconds(const DeformableState& body, const Substep& now) {
-  return body.step_seconds > 0 ? body.step_seconds : float(now.seconds);
-}
-
-// Moves the cars' frames, finds all contacts of a sub-step, and groups the cars by those with each other.
-std::vector<PairGroup> meet(std::span<Member> island, const Substep& now, Timer* timer) {
-  const StageTimer stage(timer, SolveStage::contacts);
-  std::vector<Pose> from, to;
-  std::vector<float> share;
-  for (Member& member : island) {
-    auto& [body, motion, result, spring] = member.state;
-    from.push_back(motion.pose);
-    to.push_back(path(member.input.mass, body, motion, now.seconds));
-    share.push_back(float(now.seconds) / last_seconds(body, now));
-    const FramePath frame{motion.pose, to.back(), now.start, now.seconds};
-    if (!find_contacts(body, member.input.obstacles, frame, member.scratch.contacts)) result.contact_overflow = true;
-  }
-  std::vector<PairGroup> groups = find_pairs(island, island.front().scratch.pairs, from, to, share, now.seconds);
-  for (size_t k = 0; k < island.size(); ++k) island[k].state.motion.pose = to[k];
-  return groups;
-}
-
-// Whether a body of the group moves or is woken: then the whole group is solved.
-bool is_awake(std::span<Member> island, const PairGroup& group, const Substep& now) {
-  bool awake = false;
-  for (size_t k = 0; k < group.member.size(); ++k) {
-    Member& member = island[group.member[k]];
-    DeformableState& body = member.state.body;
-    Met met;
-    for (const Contact& contact : member.scratch.contacts.contact) met.add(contact, body);
-    for (const PairContact& contact : group.contact) {
-      if (contact.car[0] == k || contact.car[1] == k) met.add(contact);
-    }
-    awake = !body.settled || is_woken(now.seconds, met, body, body.drift) || awake;
-  }
-  return awake;
-}
-
-// Readies a car for its first solved sub-step of the tick.
-void prepare(Member& member, Team& team) {
-  Scratch& scratch = member.scratch;
-  if (scratch.backup.taken) return;
-  back_up(member.state.body, scratch.backup);
-  prepare_nodal(member.input.model, member.input.parameters, member.state.body, team, scratch.solver);
-}
-
-// The length of the group's sub-step: it begins when the first contact closes.
-float seconds_of(std::span<Member> island, const PairGroup& group, const Substep& now) {
-  Touchdown touchdown;
-  for (uint32_t k : group.member) {
-    if (island[k].state.body.touching) return float(now.seconds);
-    for (const Contact& contact : island[k].scratch.contacts.contact) touchdown.add(contact.before, contact.after);
-  }
-  for (const PairContact& contact : group.contact) touchdown.add(contact.before, contact.after);
-  return float(now.seconds) * touchdown.rest();
-}
-
-// The nodes of a member that touch other cars. Null: none, though the others of the group may touch one another.
-const PairIndex* touched(const PairGroup& group, size_t member) {
-  return group.contact.empty() || group.index[member].node.empty() ? nullptr : &group.index[member];
-}
-
-// Finds the new shapes of the group's bodies.
-void solve(std::span<Member> island, PairGroup& group, const Substep& now, float h, Timer* timer) {
-  const StageTimer stage(timer, SolveStage::solve);
-  std::vector<NodalPart> parts;
-  for (size_t k = 0; k < group.member.size(); ++k) {
-    Member& member = island[group.member[k]];
-    auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
-    DeformableState& body = member.state.body;
-    const PairIndex* index = touched(group, k);
-    index_contacts(member.input.model.node.size(), contacts);
-    hold_anchors(member.input.model, index, contacts, body);
-    start = body.node;
-    parts.push_back({member.input, contacts, index, h / last_seconds(body, now), solver, body});
-  }
-  solve_nodal(parts, group.contact, h);
-  for (size_t k = 0; k < group.member.size(); ++k) {
-    StepResult& result = island[group.member[k]].state.result;
-    result.sweeps += parts[k].stats.sweeps;
-    result.work += parts[k].stats.work;
-    result.residual = std::max(result.residual, parts[k].stats.residual);
-  }
-}
-
-// One sub-step of cars that contacts connect, or of one car.
-void step(std::span<Member> island, PairGroup& group, const Substep& now, Timer* timer) {
-  if (!is_awake(island, group, now)) {
-    for (uint32_t k : group.member) stay_at_rest(island[k].input, now, island[k].state);
-    return;
-  }
-  Team& helpers = island.front().scratch.team;
-  helpers.gather();
-  for (uint32_t k : group.member) prepare(island[k], helpers);
-  const float h = seconds_of(island, group, now);
-  solve(island, group, now, h, timer);
-  for (size_t k = 0; k < group.member.size(); ++k) {
-    Member& member = island[group.member[k]];
-    auto& [body, motion, result, spring] = member.state;
-    auto& [contacts, solver, start, backup, team, pairs] = member.scratch;
-    settle(h, start, body);
-    const StageTimer stage(timer, SolveStage::flow);
-    const double taken = flow_nodal(member.input.model, solver, body);
-    body.absorbed += taken;
-    spring -= taken;
-    const double before = body.stored;
-    body.stored = stored_nodal(member.input.model, contacts, touched(group, k), solver, body);
-    // Nothing works on a free body. What it stores more, it took back from the flow (revert_inverted).
-    const bool free = !body.touching && contacts.contact.empty() && !touched(group, k);
-    if (body.lost && free) body.absorbed -= std::clamp(body.stored - before, 0.0, body.absorbed);
-  }
-  react(island, group, now, double(h));
-  remember_pairs(island, group);
-  for (uint32_t k : group.member) {
-    auto& [body, motion, result, spring] = island[k].state;
-    // What was let go while the rest moved may have kept still since then: only a solve of all nodes tells that a body rests.
-    if (!island[k].scratch.solver.active.whole) body.settled = false;
-    // At the turning point of a crash nothing moves for a moment, but the body is about to spring back.
-    if (body.force.norm() * double(h) > double(settle_speed) * island[k].input.mass.mass) body.settled = false;
-    ++result.substeps;
-  }
-}
+// A tick in which cars touch one another is solved again with 2, 4 and 8 times as many sub-steps if its energy error is larger,
+// or if a body is torn.
+constexpr double largest_error = 0.01;
+constexpr int most_times = 8;
+constexpr double slow_speed = 0.1;  // m/s
 
 // Accelerates the cars by their hosts' own forces for some seconds.
 void pull(std::span<Member> island, double seconds) {
   for (Member& member : island) member.state.motion.velocity += seconds * member.input.pull;
 }
 
-void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
+// Solves all sub-steps, `times` as many as the motion asks for.
+void run_substeps(std::span<Member> island, double closing, int times, Timer* timer) {
   int count = 1;
   for (const Member& member : island) {
     const auto& [body, motion, result, spring] = member.state;
     count = std::max(count, choose_substeps(member.input, member.scratch.contacts, body, motion, closing));
   }
+  count *= times;
   const double h = island.front().input.seconds / count;
   for (Member& member : island) {
     auto& [body, motion, result, spring] = member.state;
@@ -152,15 +41,82 @@ void tick_nodal(std::span<Member> island, double closing, Timer* timer) {
   for (int k = 0; k < count; ++k) {
     const Substep now{k * h, h};
     pull(island, 0.5 * h);
-    for (PairGroup& group : meet(island, now, timer)) step(island, group, now, timer);
+    for (PairGroup& group : meet(island, now, timer)) step_group(island, group, now, timer);
     pull(island, 0.5 * h);
   }
   island.front().scratch.team.leave();
+}
+
+// Whether shorter sub-steps may help. They do not if an obstacle was put into a car: it brings energy from outside. Cars with
+// fewer sub-steps than the default, such as those that the budget has restricted, are kept as they are.
+bool can_improve(std::span<const Member> island) {
+  const auto touches = [](const Member& member) { return !member.state.result.partners.empty(); };
+  const auto is_restricted = [](const Member& member) { return coarseness(member.input.parameters) > 1; };
+  return std::any_of(island.begin(), island.end(), touches) && std::none_of(island.begin(), island.end(), is_restricted);
+}
+
+// Whether a sound body has tets that have lost their shape. A tet that a sub-step turns inside out does not flow, so it stores
+// energy that nothing gave it.
+bool is_torn(std::span<const Member> island) {
+  return std::any_of(island.begin(), island.end(),
+                     [](const Member& member) { return member.state.result.lost > 0 && !member.scratch.backup.body.lost; });
+}
+
+// Energy that the bodies store in the tick and their motion did not give, or the other way round, as a share of all that these
+// bodies have taken up. The motion may pay what they owe. Energies that move the cars no faster than slow_speed do not count.
+double energy_error(std::span<const Member> island) {
+  double before = 0, now = 0, taken = 0, little = 0;
+  for (const Member& member : island) {
+    const auto& [body, motion, result, spring] = member.state;
+    taken += body.stored + body.absorbed;
+    if (!std::isfinite(member.input.mass.mass)) continue;
+    before += body.owed;
+    now += body.stored - spring;
+    little += 0.5 * member.input.mass.mass * slow_speed * slow_speed;
+  }
+  if (!std::isfinite(now)) return std::numeric_limits<double>::infinity();
+  const double error = std::max(now - before, -now);
+  return error > little ? error / taken : 0;
+}
+
+// What a body stores beyond what the motion gave it, it will not give back.
+void note_debts(std::span<Member> island) {
   for (Member& member : island) {
     auto& [body, motion, result, spring] = member.state;
     const bool balanced = body.settled || !std::isfinite(member.input.mass.mass);
     body.owed = balanced ? 0 : std::max(0.0, body.stored - spring);
   }
+}
+
+// Takes a tick back, so that it can be solved again in shorter sub-steps. Of its result only the cost remains.
+void take_back(std::span<Member> island, std::span<const Motion> begin) {
+  for (size_t k = 0; k < island.size(); ++k) {
+    auto& [body, motion, result, spring] = island[k].state;
+    Backup& backup = island[k].scratch.backup;
+    if (backup.taken) std::swap(body, backup.body);
+    backup.taken = false;
+    motion = begin[k];
+    result = {.sweeps = result.sweeps, .work = result.work};
+  }
+}
+
+void tick_nodal(std::span<Member> island, std::span<const Motion> begin, double closing, Timer* timer) {
+  run_substeps(island, closing, 1, timer);
+  const auto solve_again = [&](int times) {
+    take_back(island, begin);
+    run_substeps(island, closing, times, timer);
+  };
+  double least = energy_error(island);
+  int times = 1, best = 1;
+  bool good = !can_improve(island) || (least <= largest_error && !is_torn(island));
+  while (!good && times < most_times) {
+    solve_again(times *= 2);
+    const double error = energy_error(island);
+    good = error <= largest_error && !is_torn(island);
+    if (good || error < least) least = error, best = times;
+  }
+  if (best != times) solve_again(best);
+  note_debts(island);
 }
 
 void tick_classic(Member& member, Timer* timer) {
@@ -255,7 +211,7 @@ void deform(std::span<Member> island, Timer* timer) {
   if (island.size() == 1 && island.front().input.parameters.solver == Solver::classic) {
     tick_classic(island.front(), timer);
   } else {
-    tick_nodal(island, closing, timer);
+    tick_nodal(island, begin, closing, timer);
   }
   finish(island, begin);
 }

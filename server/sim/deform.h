@@ -1,8 +1,8 @@
 // One tick of cars that may touch one another, or of one car: the table of contents of the simulation. In order: candidates for
-// contact with obstacles (contacts.h) and cars (pairs.h), the number of sub-steps (substeps.h), then in each sub-step: is the
-// body at rest (rest.h), its new shape (nodal.h, or classic.h), plastic flow (flow.h), and the change of the cars' motion
-// (energy_balance.h); at the end recovery from failures (recovery.h). The result depends on the arguments alone: not on a clock
-// or the number of threads.
+// contact with obstacles (contacts.h) and cars (pairs.h), the number of sub-steps (substeps.h), then each sub-step
+// (step_group.h): is the body at rest (rest.h), its new shape (nodal.h, or classic.h), plastic flow (flow.h), and the change of
+// the cars' motion (energy_balance.h); at the end recovery from failures (recovery.h). The result depends on the arguments
+// alone: not on a clock or the number of threads.
 #pragma once
 
 #include <memory>

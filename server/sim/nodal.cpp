@@ -338,7 +338,7 @@ void search_line(const SweepOrder& order, NodalSolver& solver) {
 // Sub-steps of a crash resemble one another: the direction in which to start is the last displacement. First move nodes in
 // contact out of their obstacles, and nodes that touch other cars on as in the last sub-step.
 void aim(const NodalPart& part) {
-  const auto& [input, all, pairs, share, solver, body, stats] = part;
+  const auto& [input, all, pairs, share, solver, body, lost, stats] = part;
   const std::span<const Contact> contacts = all.contact;
   std::fill(solver.direction.begin(), solver.direction.end(), Float4{});
   for (const uint32_t i : solver.active.node) solver.direction[i] = float4(share * body.step[i], 0);
@@ -505,8 +505,8 @@ bool suspend_flow(double lost, size_t tets, bool held, NodalSolver& solver, Defo
 }
 
 // Prepares a car for a sub-step of h seconds: drag, springs, what is awake, and where to start.
-void begin_part(const NodalPart& part, float h) {
-  const auto& [input, contacts, pairs, share, solver, body, stats] = part;
+void begin_part(NodalPart& part, float h) {
+  const auto& [input, contacts, pairs, share, solver, body, lost, stats] = part;
   const Model& model = input.model;
   solver.seeds.placed.clear();
   for (uint32_t i = 0; i < body.node.size(); ++i) {
@@ -523,9 +523,10 @@ void begin_part(const NodalPart& part, float h) {
   stiffen_anchors(model, input.parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, pairs, solver);
   const bool held = !contacts.contact.empty() || pairs;
   choose_active(part, settle_speed * h, held);
-  if (suspend_flow(update_stiffness(*model.order, solver), model.tet.size(), held, solver, body)) {
+  part.lost = update_stiffness(*model.order, solver);
+  if (suspend_flow(part.lost, model.tet.size(), held, solver, body)) {
     choose_active(part, settle_speed * h, held);
-    update_stiffness(*model.order, solver);
+    part.lost = update_stiffness(*model.order, solver);
   }
   solver.contact_forces.assign(contacts.contact.size(), ContactForce{});
   if (!pairs && !body.pairs.touch.empty()) body.history = {};  // it has pressures of a car that is gone
@@ -756,7 +757,8 @@ void solve_nodal(std::span<NodalPart> parts, std::span<PairContact> contacts, fl
     }
   }
   for (size_t k = 0; k < parts.size(); ++k) {
-    update_stiffness(*parts[k].input.model.order, parts[k].solver);
+    const double lost = update_stiffness(*parts[k].input.model.order, parts[k].solver);
+    parts[k].stats.lost = uint32_t(std::max(0.0, lost - parts[k].lost));
     views[k].measure = true;
     views[k].resolve = measure;
   }

@@ -70,6 +70,7 @@ struct SolveStats {
   uint32_t sweeps = 0;
   uint64_t work = 0;   // tets visited by sweeps
   float residual = 0;  // rms over awake nodes of what the last two sweeps moved, m
+  uint32_t lost = 0;   // tets that have lost their shape in the sub-step
 };
 
 // A car in a sub-step. In: the body after the last sub-step, the contacts and their index. Out: body.node, the force of each
@@ -81,6 +82,7 @@ struct NodalPart {
   float share;             // length of this sub-step divided by the length of the last one
   NodalSolver& solver;
   DeformableState& body;
+  double lost = 0;  // tets that have no shape when the sub-step begins
   SolveStats stats = {};
 };
 

@@ -15,7 +15,7 @@ namespace crumple {
 struct Scratch {
   ContactSet contacts;
   NodalSolver solver;
-  std::vector<Vec3> start;  // used by deform.cpp: node positions at the start of the sub-step, m
+  std::vector<Vec3> start;  // used by step_group.cpp: node positions at the start of the sub-step, m
   Backup backup;
   // Of the island whose first car has this memory:
   Team team;

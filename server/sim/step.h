@@ -43,6 +43,7 @@ struct StepResult {
   uint64_t work = 0;                                          // tets visited by sweeps
   float residual = 0;                        // rms way of the awake nodes in the last sweeps, m; largest of all sub-steps
   bool contact_overflow = false;             // a node met more than contacts_per_node planes: the deepest were kept
+  uint32_t lost = 0;                         // tets that have lost their shape in a sub-step; most of all sub-steps
   bool recovered = false;                    // the tick ended with a number that is not finite and was undone
   std::vector<PartnerResult> partners = {};  // cars that touched this one, ascending by key
 };

@@ -105,9 +105,13 @@ TEST(Law, RandomCrashesFindTheEnergyThatTheyBrought) {
     SCOPED_TRACE(seed);
     PileUp cars = random_crash(car, seed);
     const double brought = cars.kinetic();
-    cars.run(0.5);
+    double most = 0;
+    for (int k = 0; k < 30; ++k) {
+      cars.tick();
+      most = std::max(most, cars.energy());
+    }
     EXPECT_GT(cars.energy(), 0.97 * brought);
-    EXPECT_LT(cars.energy(), 1.05 * brought);  // corners of so coarse a box slip past each other
+    EXPECT_LT(most, 1.02 * brought);  // corners of so coarse a box slip past each other
     EXPECT_LT(cars.kinetic(), brought);
   }
 }
