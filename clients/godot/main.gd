@@ -1,4 +1,4 @@
-# main.tscn shows the car that is named after "--" from the side, until the car is gone.
+# main.tscn shows one car from the side until the car is gone. The arguments after "--" name the server and the car.
 #   godot --path clients/godot -- tcp/127.0.0.1:7447 car1
 extends Node3D
 

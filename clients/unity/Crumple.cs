@@ -101,7 +101,7 @@ public struct Obstacle {
   public float Friction;
 }
 
-/// Another car that touched the car of a reaction in the same tick.
+/// Another car that touched the car of a reaction in the same tick, or at the end of the tick before.
 public struct Partner {
   internal IntPtr car, host;
   public Float3 Impulse;

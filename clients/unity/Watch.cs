@@ -1,4 +1,4 @@
-// A viewer on the console: what Crumple.cs receives of one car, until the car is gone.
+// This viewer prints to the console what Crumple.cs receives of one car, until the car is gone.
 //   mono Watch.exe tcp/127.0.0.1:7447 car1
 using System;
 using System.Runtime.InteropServices;
@@ -18,7 +18,7 @@ static class Watch {
       Mesh mesh;
       while (!session.TryMesh(asset, out mesh)) session.Poll(0.1);
 
-      // Memory that stays where it is, as a NativeArray's does: the library writes into it.
+      // The library writes into this memory, so it is pinned. The memory of a NativeArray needs no pinning.
       var buffer = new Vertex[mesh.VertexCount];
       GCHandle pinned = GCHandle.Alloc(buffer, GCHandleType.Pinned);
       var vertices = new Vertices {

@@ -1,4 +1,4 @@
-// A viewer: a car's surface in an engine's own vertex buffer, until the car is gone.
+// This viewer keeps a car's surface in an engine's own vertex buffer until the car is gone.
 //   viewer ENDPOINT CAR        for example: viewer tcp/127.0.0.1:7447 car1
 #include <chrono>
 #include <cmath>
@@ -16,7 +16,7 @@ struct Vertex {  // as the engine draws it
   float position[3], normal[3], uv[2];
 };
 
-// Where an engine hands them to the graphics card: glBufferSubData, UpdateSubresource, ...
+// Here an engine hands the changed vertices to the graphics card: glBufferSubData, UpdateSubresource, ...
 void upload(const std::vector<Vertex>&, uint32_t first, uint32_t count) {
   std::printf("%u vertices from %u on changed\n", count, first);
   std::fflush(stdout);

@@ -163,7 +163,7 @@ typedef struct CrumpleObstacle {
 // Sends the whole list of this host, which replaces its previous list.
 int crumple_publish_obstacles(Crumple*, const CrumpleObstacle* obstacles, size_t count);
 
-// Another car that touched the car of a reaction in the same tick.
+// Another car that touched the car of a reaction in the same tick, or at the end of the tick before.
 typedef struct CrumplePartner {
   const char* car;
   const char* host;   // of that car

@@ -88,7 +88,7 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Partner:
-    """Another car that touched the car of a reaction in the same tick."""
+    """Another car that touched the car of a reaction in the same tick, or at the end of the tick before."""
 
     car: str
     host: str  # of that car
