@@ -9,6 +9,7 @@
 
 #include "sim/flow.h"
 #include "sim/rest.h"
+#include "sim/substeps.h"
 
 namespace crumple {
 namespace {
@@ -520,7 +521,8 @@ void begin_part(NodalPart& part, float h) {
     solver.before[i] = float4(body.node[i], drag);
     solver.node[i] = float4(body.node[i], 0);
   }
-  stiffen_anchors(model, input.parameters, anchor_share * float(input.mass.mass) / (h * h), contacts, pairs, solver);
+  const float whole = std::max(h, float(substep_seconds(input.parameters)));
+  stiffen_anchors(model, input.parameters, anchor_share * float(input.mass.mass) / (whole * whole), contacts, pairs, solver);
   const bool held = !contacts.contact.empty() || pairs;
   choose_active(part, settle_speed * h, held);
   part.lost = update_stiffness(*model.order, solver);

@@ -23,6 +23,8 @@ inline constexpr float relaxation = 1.7f;
 // An anchored node that an obstacle reaches yields like a spring this many times as stiff as its tets, so contacts always win.
 inline constexpr float anchor_ratio = 30.0f;
 // All these springs together are no stiffer than this share of (car's mass) / h^2: the rigid motion is integrated explicitly.
+// h: the length of a sub-step before any halving. With springs that become stiffer when sub-steps become shorter, the loose
+// anchored nodes of a crushed car would go to and fro when their number changes from tick to tick, and never rest.
 inline constexpr float anchor_share = 0.25f;
 
 // m: a tet lower than this does not flow. Positions in single precision a metre or two from the origin are exact to 0.1 um, so
