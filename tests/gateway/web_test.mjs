@@ -718,7 +718,7 @@ async function checkParts(opened, answered, folder) {
     assert.equal(await start("bake", "built-in", "--mesher", "lattice", "--nodes", "300", "--parts", parts, "-o", out).ended, 0);
     return partsIn(out);
   };
-  const list = () => opened.$$eval("#parts-list button", (rows) => rows.map((row) => [...row.children].slice(1).map(({ textContent }) => textContent).join(": ")));
+  const list = () => opened.$$eval("#parts-list li:not([hidden]) button", (rows) => rows.map((row) => [...row.children].slice(1).map(({ textContent }) => textContent).join(": ")));
   const choose = (name) => opened.click(`#parts-list button:has(span:text-is("${name}"))`);
   const click = async (point) => {
     const { x, y } = await opened.evaluate((there) => window.crumple.tools().parts.screen(there), point);

@@ -1,29 +1,16 @@
 // Shows the parts of a baked car and changes them. A baked car cannot change, so what the user gets is a parts file (schema/parts.fbs),
 // with which the bake of the surface makes such a car.
 import * as THREE from "three";
-import { noLook, type BakedCar } from "../baked.js";
+import type { BakedCar } from "../baked.js";
 import { partKinds, type PartKind } from "../parts.js";
 import { palette } from "./colours.js";
 import { History } from "./history.js";
+import { body, entriesOf, firstUnknown, hasSurface, readEntries, writeEntries, type Entry } from "./part_entries.js";
 import { bare, StandIn, type Hit } from "./stand_in.js";
-import { download, inJson, pick, pointOf, sentence, type Point, type Shown, type Workbench } from "./workbench.js";
-
-/** An entry of a parts file, with more than its kind has: what the user changes to another kind and back is as it was. */
-interface Entry {
-  name: string;
-  kind: PartKind;
-  source?: string[];
-  position?: Point;
-  orientation?: Point & { w: number };
-  radius?: number;
-  width?: number;
-  /** The part of the baked car that it is; none: of a point that came, or of a file's entry that the car has no part of. */
-  of?: number;
-}
+import { download, pick, pointOf, sentence, type Shown, type Workbench } from "./workbench.js";
 
 type Mark = THREE.Mesh<THREE.BufferGeometry, THREE.MeshBasicMaterial>;
 
-const body = "body"; // the part of all that is in no other part, and of entries that were removed
 const nameLimit = 64;
 const sizeOfPoint = 0.05; // m, its radius in the picture
 const command = "crumple bake FILE --parts parts.json -o car.car";
@@ -41,9 +28,9 @@ export class Parts {
 
   constructor(readonly workbench: Workbench, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
     this.root.id = "parts";
-    this.root.innerHTML = `<summary>Parts</summary>
+    this.root.innerHTML = `<summary>Parts</summary><div id="parts-all">
       <p class="note">Choose a part here, or click on it. What is in no part belongs to the body.</p>
-      <ul id="parts-list" aria-label="Parts of the car"></ul>
+      <ul id="parts-list" aria-label="Parts of the car"></ul><p id="parts-none">There is only the body.</p>
       <div id="parts-edit"><label class="row">Name <input id="parts-name" maxlength="${nameLimit}" autocomplete="off"></label>
       <label class="row">Kind <select id="parts-kind">${partKinds.map((kind) => `<option>${kind}</option>`).join("")}</select></label>
       <label class="row" id="parts-of">Source names <textarea id="parts-source" rows="2" spellcheck="false" placeholder="*window*&#10;glass" title="Of materials, meshes and nodes in the file that you bake, a line each; * is any text, ? any character"></textarea></label></div>
@@ -51,7 +38,7 @@ export class Parts {
       <button id="parts-point" aria-pressed="false">Add a point</button><button id="parts-middle">Point in the middle</button></div>
       <div class="buttons"><button id="parts-save" class="main">Save parts</button><button id="parts-load">Load parts</button></div>
       <p class="note">Save the parts, then bake your file again: <code>${command}</code></p>
-      <input id="parts-file" type="file" accept=".json" hidden>`;
+      <input id="parts-file" type="file" accept=".json" hidden></div>`;
     const press = (id: string, action: () => void) => (this.#find<HTMLButtonElement>(`#parts-${id}`).onclick = action);
     press("undo", () => this.#history.undo());
     press("redo", () => this.#history.redo());
@@ -77,11 +64,15 @@ export class Parts {
     this.#standIn?.remove();
     this.#standIn = wanted && new StandIn(this.workbench, shown!, wanted);
     this.#place(false);
-    if (!wanted) return;
-    const { parts } = wanted.baked, key = JSON.stringify(parts);
-    if (!this.#histories.has(key)) this.#histories.set(key, new History(entriesOf(wanted.baked), () => this.#changed()));
-    if (this.#history !== this.#histories.get(key)) this.#chosen = -1;
-    this.#history = this.#histories.get(key)!;
+    if (wanted) this.#take(wanted.baked);
+    this.#find("#parts-all").hidden = !wanted;
+  }
+
+  #take(baked: BakedCar): void {
+    const key = JSON.stringify(baked.parts), history = this.#histories.get(key) ?? new History(entriesOf(baked), () => this.#changed());
+    this.#histories.set(key, history);
+    if (this.#history !== history) this.#chosen = -1;
+    this.#history = history;
     this.#changed();
   }
 
@@ -102,6 +93,9 @@ export class Parts {
   get #entries(): readonly Entry[] {
     return this.#history.now;
   }
+  get #baked(): BakedCar {
+    return this.#standIn!.instead.baked;
+  }
 
   // ---- the pointer ----
 
@@ -119,12 +113,13 @@ export class Parts {
   #click(event: PointerEvent): void {
     const [point] = this.#standIn!.aim(event).intersectObjects(this.#marks.filter(({ userData }) => userData.isPoint)); // they are before all else
     if (point) return this.#choose(point.object.userData.entry);
-    const hit = this.#standIn!.hit(event), baked = this.#standIn!.instead.baked;
-    this.#choose(hit ? this.#entries.findIndex((entry) => entry.of === baked.vertexPart[hit.vertex] && hasSurface(entry)) : -1);
+    const hit = this.#standIn!.hit(event), part = hit && this.#baked.vertexPart[hit.vertex];
+    this.#choose(part ? this.#entries.findIndex((entry) => entry.of === part && hasSurface(entry)) : -1);
     if (hit && this.#chosen < 0) this.tell("this is the body: it is in no other part");
   }
 
   #place(places: boolean): void {
+    if (places === this.#places) return;
     this.#places = places;
     this.#find("#parts-point").setAttribute("aria-pressed", String(places));
     this.workbench.canvas.style.cursor = places ? "crosshair" : "";
@@ -132,11 +127,11 @@ export class Parts {
   }
 
   #addPoint(hit: Hit | null): void {
-    if (!hit) return this.tell("there is no car: a point lies on its surface", true);
+    if (!hit) return this.tell("there is nothing of the car: a point lies on its surface", true);
     this.#place(false);
     this.#chosen = this.#entries.length;
-    this.#history.become([...this.#entries, { name: this.#freeName("point"), kind: "point", position: pointOf(hit.at) }]);
-    const { x, y, z } = pointOf(hit.at);
+    const position = pointOf(hit.at), { x, y, z } = position;
+    this.#history.become([...this.#entries, { name: this.#freeName("point"), kind: "point", position }]);
     this.tell(`a point at x ${x}, y ${y}, z ${z} m; give it a name`);
     this.#find<HTMLInputElement>("#parts-name").select();
   }
@@ -166,42 +161,25 @@ export class Parts {
   }
 
   #save(): void {
-    const { vertexPart } = this.#standIn!.instead.baked;
-    const takes = ({ name, kind, source, radius, of }: Entry) => name === body || kind === "point" || !!source?.length || (kind === "wheel" && (!!radius || (!!of && vertexPart.includes(of))));
-    const nameless = this.#entries.findIndex((entry) => !takes(entry));
-    if (nameless < 0) {
-      download("parts.json", inJson("parts", this.#entries.flatMap((entry) => this.#written(entry) ?? [])), "application/json");
+    const unknown = firstUnknown(this.#entries, this.#baked);
+    if (unknown < 0) {
+      download("parts.json", writeEntries(this.#entries, this.#baked), "application/json");
       return this.tell(`now bake your file again, with the options that you gave then: ${command}`);
     }
-    this.#choose(nameless);
-    this.tell(`the baked car does not say which names "${this.#entries[nameless].name}" has in your file: type them, or load the parts that bake --write-parts wrote`, true);
-  }
-
-  // What a removed entry has taken, the body takes: an entry before it may fit it too.
-  #written({ name, kind, source = [], position, orientation, radius, width, of }: Entry): object | null {
-    if (name === body) return source.length && kind === "body" ? { name, kind, source } : null;
-    if (kind === "point") return { name, kind, position, orientation };
-    if (kind !== "wheel") return { name, kind, source };
-    if (radius && width) return { name, kind, source: source.length ? source : undefined, position, orientation, radius, width };
-    return source.length ? { name, kind, source, orientation } : { name, kind, ...around(this.#standIn!.instead.baked, of) };
+    this.#choose(unknown);
+    const { name } = this.#entries[unknown];
+    this.tell(`the car does not say which names "${name}" has in your file: type them, or load the file that bake --write-parts wrote`, true);
+    const source = this.#find("#parts-source");
+    source.focus({ preventScroll: true });
+    source.scrollIntoView({ block: "center" }); // the answer covers what is below
   }
 
   #load(text: string, file: string): void {
-    const { parts } = this.#standIn?.instead.baked ?? { parts: [] };
     try {
-      const { parts: list } = JSON.parse(text) as { parts?: Entry[] };
-      if (!Array.isArray(list) || list.some(({ name, kind = "body", source = [] }) => typeof name !== "string" || !partKinds.includes(kind) || !Array.isArray(source)))
-        throw new Error('it needs a list "parts", each with a name, a kind and what it takes');
-      const entries: Entry[] = [], missing: string[] = [];
-      for (const entry of list) {
-        const of = parts.findIndex(({ name }, i) => i > 0 && name === entry.name), before = entries.find(({ name }) => name === entry.name && name !== body);
-        if (of < 0 && entry.name !== body) missing.push(entry.name);
-        if (before) before.source = [...(before.source ?? []), ...(entry.source ?? [])];
-        else entries.push({ ...entry, kind: entry.kind ?? "body", ...(of < 0 ? {} : { of }) });
-      }
+      const entries = readEntries(text, this.#baked), missing = entries.filter(({ name, of }) => name !== body && !of);
       this.#chosen = -1;
       this.#history.become(entries);
-      this.tell(`${file}: ${entries.length} parts${missing.length ? `; the car has not yet: ${missing.join(", ")}` : ""}`);
+      this.tell(`${file}: ${entries.length} parts${missing.length ? `; not in this car yet: ${missing.map(({ name }) => name).join(", ")}` : ""}`);
     } catch (error) {
       this.tell(`${file} is not a parts file in strict JSON: ${sentence(error)}`, true);
     }
@@ -210,9 +188,7 @@ export class Parts {
   // ---- what the page shows ----
 
   #changed(): void {
-    if (!this.#standIn) return;
-    const rows = this.#entries.flatMap(({ name, kind }, i) => {
-      if (name === body) return [];
+    const rows = this.#entries.map(({ name, kind }, i) => {
       const row = document.createElement("li"), button = row.appendChild(document.createElement("button"));
       button.innerHTML = `<i style="background: #${colourOf(i).getHexString()}"></i><span></span><small>${kind}</small>`;
       button.querySelector("span")!.textContent = name;
@@ -220,9 +196,11 @@ export class Parts {
       button.onclick = () => this.#choose(i);
       button.onpointerenter = button.onfocus = () => this.#light(i);
       button.onpointerleave = button.onblur = () => this.#light(-1);
-      return [row];
+      row.hidden = name === body;
+      return row;
     });
     this.#find("#parts-list").replaceChildren(...rows);
+    this.#find("#parts-none").hidden = rows.some(({ hidden }) => !hidden);
     this.#find<HTMLButtonElement>("#parts-undo").disabled = !this.#history.past;
     this.#find<HTMLButtonElement>("#parts-redo").disabled = !this.#history.future;
     this.#under = -1;
@@ -235,6 +213,7 @@ export class Parts {
   }
 
   #show(): void {
+    if (!this.#standIn) return;
     const entry = this.#entries[this.#chosen];
     if (!entry || entry.name === body) this.#chosen = -1;
     for (const button of this.root.querySelectorAll<HTMLElement>("#parts-list button"))
@@ -252,7 +231,7 @@ export class Parts {
 
   // lit: the entry in full colour, while others are paler; none: all are.
   #draw(lit: number): void {
-    const { mesh, instead: { baked } } = this.#standIn!, colours = Array.from({ length: Math.max(2, baked.parts.length) }, () => bare);
+    const { mesh, group } = this.#standIn!, baked = this.#baked, colours = Array.from({ length: Math.max(2, baked.parts.length) }, () => bare);
     const shade = (i: number) => (lit < 0 || i === lit ? colourOf(i) : colourOf(i).clone().lerp(bare, 0.75));
     this.#entries.forEach((entry, i) => entry.of && hasSurface(entry) && (colours[entry.of] = shade(i)));
     mesh.paint(colours, colours.length - 1, Float32Array.from(mesh.moved, (_, v) => baked.vertexPart[v] ?? 0));
@@ -274,40 +253,14 @@ export class Parts {
     });
     const entry = this.#entries[lit];
     if (entry?.of && hasSurface(entry)) add(lit, false, surfaceOf(baked, entry.of), 0.55);
-    if (marks.length) this.#standIn!.group.add(...marks);
+    if (marks.length) group.add(...marks);
     this.workbench.wake();
   }
 }
 
-const hasSurface = ({ name, kind }: Entry) => name !== body && kind !== "point";
-
 // Those of regions, and more, because a car has up to 255 parts; black is for tyres only.
 function colourOf(entry: number): THREE.Color {
   return entry < palette.length - 1 ? palette[entry] : new THREE.Color().setHSL((0.618034 * entry) % 1, 0.6, 0.35 + 0.1 * (entry % 3));
-}
-
-/** The parts file that gives this car its parts, as far as the car says. */
-function entriesOf(baked: BakedCar): Entry[] {
-  return baked.parts.slice(1).map(({ name, kind, position: [x, y, z], orientation: q, radius, width }, i) => {
-    const of = i + 1, position = { x: short(x), y: short(y), z: short(z) };
-    const entry: Entry = { name, kind, position, of };
-    if (Math.abs(q[3]) < 1) entry.orientation = { x: q[0], y: q[1], z: q[2], w: q[3] };
-    return kind === "wheel" ? { ...entry, radius: short(radius), width: short(width) } : { ...entry, source: kind === "point" ? [] : namesOf(baked, of) };
-  });
-}
-
-// Names in the source, as patterns: of the materials of which all triangles are in this part, if it has no other materials. The bake
-// names a panel by a name in the source. For all else nothing is known.
-function namesOf(baked: BakedCar, part: number): string[] {
-  const mine = new Set<string | undefined>(), others = new Set<string | undefined>();
-  baked.triangleLook.forEach((look, t) => (baked.vertexPart[baked.triangle[3 * t]] === part ? mine : others).add(look === noLook ? undefined : baked.looks[look].name));
-  const { name, kind } = baked.parts[part], known = mine.size && [...mine].every((each) => each && !others.has(each));
-  return (known ? [...mine] : kind === "panel" ? [name] : []).map((each) => each!.replace(/[*?[\]\\]/g, "\\$&"));
-}
-
-/** The shortest number that is the same in 32 bits. */
-function short(x: number): number {
-  return [6, 7, 8, 9].map((digits) => Number(x.toPrecision(digits))).find((each) => Math.fround(each) === x) ?? x;
 }
 
 /** The triangles of a part. */
@@ -317,11 +270,3 @@ function surfaceOf(baked: BakedCar, part: number): THREE.BufferGeometry {
   return new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(baked.vertex, 3)).setIndex(corner);
 }
 
-/** A wheel's cylinder about y that holds a part. */
-function around(baked: BakedCar, part = 0): Pick<Entry, "position" | "radius" | "width"> {
-  const box = new THREE.Box3(), at = new THREE.Vector3(), own = [...baked.vertexPart.keys()].filter((v) => baked.vertexPart[v] === part);
-  for (const v of own) box.expandByPoint(at.fromArray(baked.vertex, 3 * v));
-  const hub = box.getCenter(new THREE.Vector3()), { y: width } = box.getSize(at.clone());
-  const radius = Math.max(...own.map((v) => Math.hypot(baked.vertex[3 * v] - hub.x, baked.vertex[3 * v + 2] - hub.z)));
-  return { position: pointOf(hub), radius, width };
-}
