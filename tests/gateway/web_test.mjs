@@ -3,7 +3,7 @@
 //   node tests/gateway/web_test.mjs page PROGRAM CAR WEB        the page in Chromium shows a known crash like tests/gateway/web_page.png; 77: no Chromium
 //   node tests/gateway/web_test.mjs compare PROGRAM CAR WEB     two recordings side by side: difference and strain match their exported surfaces
 //   node tests/gateway/web_test.mjs repaint PROGRAM CAR WEB     a car that is repainted many times is shown, and its earlier versions are dropped
-//   node tests/gateway/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit; 77: no Chromium
+//   node tests/gateway/web_test.mjs control PROGRAM CAR WEB     the page in Chromium: a car is tuned, painted, re-baked and hit, its parts change; 77: no Chromium
 //   node tests/gateway/web_test.mjs model PROGRAM CAR WEB       a model of the user's shows the dents of the car that was baked from it; 77: no Chromium
 //   node tests/gateway/web_test.mjs manual PROGRAM CAR WEB      the page of clients/web/README.md, made by its commands, in Chromium; 77: no Chromium
 //   node tests/gateway/web_test.mjs keep PROGRAM CAR WEB        writes tests/gateway/web_page.png again; look at the picture
@@ -665,10 +665,12 @@ async function repaint() {
   await end(server);
 }
 
-// Runs in the page: counts the corners of the mask by colour.
+// Runs in the page: counts the corners of what the page shows of the car by colour. It must show one thing.
 function tints() {
-  const [{ group, mesh }] = window.crumple.shown.values(), counts = {};
-  const { color } = group.children.find((child) => child !== mesh && child.visible && child.geometry?.attributes.color).geometry.attributes;
+  const [{ group }] = window.crumple.shown.values(), counts = {}, meshes = [];
+  group.traverseVisible(({ geometry }) => geometry?.attributes.color && meshes.push(geometry.attributes));
+  if (meshes.length !== 1) throw new Error(`the page shows ${meshes.length} surfaces of the car`);
+  const [{ color }] = meshes;
   for (let i = 0; i < color.count; ++i) {
     const key = [color.getX(i), color.getY(i), color.getZ(i)].map((x) => x.toFixed(3)).join(" ");
     counts[key] = (counts[key] ?? 0) + 1;
@@ -701,6 +703,77 @@ async function download(opened, button, file) {
   const [came] = await Promise.all([opened.waitForEvent("download"), opened.click(button)]);
   await came.saveAs(file);
   return file;
+}
+
+// The parts of a baked car, each with the places of its vertices.
+function partsIn(file) {
+  const bytes = new Uint8Array(readFileSync(file)), { parts, vertex, vertexPart } = readCar(bytes, digits(hashOf(bytes)));
+  return parts.map((part, i) => ({ ...part, at: [...vertexPart.keys()].filter((v) => vertexPart[v] === i).map((v) => vertex.slice(3 * v, 3 * v + 3).join()).sort() }));
+}
+
+// The page shows the parts of a baked car, and bakes with the files that it saves make the parts that it shows.
+async function checkParts(opened, answered, folder) {
+  const bake = async (name) => {
+    const parts = await download(opened, "#parts-save", resolve(folder, `${name}.json`)), out = resolve(folder, `${name}.car`);
+    assert.equal(await start("bake", "built-in", "--mesher", "lattice", "--nodes", "300", "--parts", parts, "-o", out).ended, 0);
+    return partsIn(out);
+  };
+  const list = () => opened.$$eval("#parts-list li:not([hidden]) button", (rows) => rows.map((row) => [...row.children].slice(1).map(({ textContent }) => textContent).join(": ")));
+  const choose = (name) => opened.click(`#parts-list button:has(span:text-is("${name}"))`);
+  const click = async (point) => {
+    const { x, y } = await opened.evaluate((there) => window.crumple.tools().parts.screen(there), point);
+    await opened.mouse.click(x, y);
+  };
+  const was = partsIn(car), wheels = ["front left", "front right", "rear left", "rear right"].map((where) => `wheel ${where}: wheel`);
+  await opened.click("#parts summary");
+  await opened.waitForFunction(() => window.crumple.tools().parts.showing && !window.crumple.tools().paint.showing);
+  assert.deepEqual(await list(), ["glass: glass", "interior: interior", "lights: light", ...wheels]);
+  const shown = await opened.evaluate(tints);
+  assert.equal(Object.keys(shown).length, 8, "body and seven parts have not a colour each");
+  await opened.hover("#parts-list li:nth-child(2) button");
+  const lit = await opened.evaluate(tints);
+  assert.equal(Object.keys(shown).filter((colour) => colour in lit).length, 2, "more than the part under the pointer, and the body, keep their colour");
+
+  // A baked car does not say which names its glass has; with the file as it is, the parts are the same.
+  await opened.click("#parts-save");
+  await answered(/does not say which names "glass" has in your file/);
+  await opened.fill("#parts-source", "glass");
+  await opened.keyboard.press("Tab");
+  assert.deepEqual(await bake("same"), was);
+  await answered(/crumple bake FILE --parts parts\.json -o car\.car/);
+  const [chooser] = await Promise.all([opened.waitForEvent("filechooser"), opened.click("#parts-load")]);
+  await chooser.setFiles(resolve(folder, "same.json"));
+  await answered(/same\.json: 7 parts$/);
+
+  // Changes a kind, a name, and what is no part; and adds a point.
+  await opened.keyboard.press("1"); // the view from ahead and the right
+  await opened.waitForFunction(() => window.crumple.tools().parts.screen([1.36, -0.85, 0.3]).x < 400);
+  await choose("lights");
+  await opened.selectOption("#parts-kind", "panel");
+  await click([1.36, -0.85, 0.3]);
+  assert.equal(await opened.inputValue("#parts-name"), "wheel front right", "a click on the car chooses another part");
+  await opened.fill("#parts-name", "glass");
+  await opened.keyboard.press("Enter");
+  await answered(/there is a part "glass" already/);
+  await opened.fill("#parts-name", "wheel 1");
+  await opened.keyboard.press("Enter");
+  await choose("interior");
+  await opened.click("#parts-remove");
+  await click([-1.36, -0.85, 0.3]);
+  await opened.click("#parts-remove");
+  await opened.click("#parts-undo");
+  await opened.click("#parts-point");
+  const away = ([x, y, z]) => Math.hypot(x - 1.6, y + 0.3, z - 0.9);
+  const bonnet = was[0].at.map((place) => place.split(",").map(Number)).reduce((best, each) => (away(each) < away(best) ? each : best));
+  await click(bonnet);
+  await opened.fill("#parts-name", "badge");
+  await opened.keyboard.press("Enter");
+  assert.deepEqual(await list(), ["glass: glass", "lights: panel", wheels[0], "wheel 1: wheel", ...wheels.slice(2), "badge: point"]);
+  const [, glass, , lights, left, right, ...rear] = was, now = await bake("changed"), badge = now.at(-1);
+  assert.deepEqual(now.slice(1, -1), [glass, { ...lights, kind: "panel" }, left, { ...right, name: "wheel 1" }, ...rear]);
+  assert.deepEqual([badge.name, badge.kind], ["badge", "point"]);
+  assert.ok(Math.hypot(...badge.position.map((x, k) => x - bonnet[k])) < 0.05, `it lies at ${badge.position}, not at ${bonnet}`);
+  await opened.click("#parts summary");
 }
 
 async function control(path) {
@@ -788,6 +861,8 @@ async function controlIn(path, folder) {
   assert.match(told, /\([1-9]\d* anchored\)/);
   assert.notEqual(hash, asset);
   await until("the painted car in the scene", () => live.cars.get("painted")?.surface.asset === hash);
+
+  await checkParts(opened, answered, folder);
 
   // The car is hit, and hit again after a slider has made it stiff: the server has taken the parameters from the page.
   const soft = await hit(live, folder, options);

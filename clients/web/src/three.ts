@@ -95,6 +95,11 @@ export class CarMesh extends THREE.Mesh<THREE.BufferGeometry, THREE.Material | T
     return true;
   }
 
+  /** The vertex of the baked car that a corner of the geometry is at. */
+  vertexOf(corner: number): number {
+    return this.#vertexOf[corner];
+  }
+
   /** Computes the strain of each vertex (`strain` in baked.ts). */
   strain(): Float32Array {
     this.#strain ??= new Float32Array(this.moved.length);

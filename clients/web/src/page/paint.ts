@@ -5,14 +5,11 @@ import { TessellateModifier } from "three/addons/modifiers/TessellateModifier.js
 import { readCar, type BakedCar } from "../baked.js";
 import type { Control } from "../control.js";
 import { digits, hashOf, type Vec3 } from "../decode.js";
-import { CarMesh } from "../three.js";
-import { download, pick, sentence, type Shown, type Workbench } from "./workbench.js";
+import { palette } from "./colours.js";
+import { History } from "./history.js";
+import { bare, StandIn } from "./stand_in.js";
+import { download, inJson, pick, pointOf, sentence, type Point, type Shown, type Workbench } from "./workbench.js";
 
-interface Point {
-  x: number;
-  y: number;
-  z: number;
-}
 /** An entry of a regions file. It has either a sphere or a box. */
 interface Entry {
   name: string;
@@ -21,9 +18,6 @@ interface Entry {
   box?: { center: Point; half: Point; orientation?: Point & { w: number } };
 }
 
-/** Okabe and Ito's colours, in the order of painting. If there are more regions, colours come again. */
-const palette = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000"].map((colour) => new THREE.Color(colour));
-const bare = new THREE.Color("#e3e3df");
 /** Distance from dab to dab of a stroke, as a share of the radius. */
 const spacing = 0.4;
 const radii = { low: 0.05, high: 0.8, first: 0.2 }; // m
@@ -35,19 +29,15 @@ const cellWidth = 0.2;
 
 export class Paint {
   readonly root = document.createElement("details");
-  entries: readonly Entry[] = [];
-  #past: (readonly Entry[])[] = [];
-  #future: (readonly Entry[])[] = [];
+  #history = new History<readonly Entry[]>([], () => this.#changed());
   #tinted: readonly Entry[] = []; // the entries that the mask shows
   #on = false;
   #stroke: Entry[] | null = null; // the one that the pointer paints now
   #pointers = new Set<number>();
-  #mesh: CarMesh | null = null; // the car at rest, which rays hit
+  #standIn: StandIn | null = null;
   #mask: THREE.Mesh<THREE.BufferGeometry, THREE.Material> | null = null; // what the page shows of it
   #cells: { center: THREE.Vector3; corners: number[] }[] = [];
-  #hidden: CarMesh | null = null; // the mesh that is hidden meanwhile
   #tip = new THREE.Mesh(new THREE.SphereGeometry(1, 32, 16), new THREE.MeshBasicMaterial({ color: "#111418", transparent: true, opacity: 0.22, depthWrite: false }));
-  #ray = new THREE.Raycaster();
   #baked: { bytes: Uint8Array; name: string } | null = null;
 
   constructor(readonly control: Control, readonly workbench: Workbench, readonly chosen: () => Shown | null, readonly tell: (text: string, bad?: boolean) => void) {
@@ -65,9 +55,9 @@ export class Paint {
       <input id="paint-file" type="file" accept=".json" hidden>`;
     const press = (id: string, action: () => void) => (this.#find<HTMLButtonElement>(`#paint-${id}`).onclick = action);
     press("on", () => this.toggle(!this.#on));
-    press("undo", () => this.#undo());
-    press("redo", () => this.#redo());
-    press("clear", () => this.#become([]));
+    press("undo", () => this.#history.undo());
+    press("redo", () => this.#history.redo());
+    press("clear", () => this.#history.become([]));
     press("dab", () => this.#dabInTheMiddle());
     press("save", () => download("regions.json", this.json(), "application/json"));
     press("load", () => pick(this.#find("#paint-file"), (text, name) => this.#load(text, name)));
@@ -98,27 +88,26 @@ export class Paint {
 
   /** Gives the regions file. */
   json(): string {
-    return `{\n  "regions": [${this.entries.map((entry) => `\n    ${JSON.stringify(entry)}`).join(",")}\n  ]\n}\n`;
+    return inJson("regions", this.#history.now);
   }
 
   update(): void {
     const shown = this.chosen();
     if (this.#on && !shown) return this.toggle(false);
     const wanted = this.#on ? shown!.mesh : null;
-    if (wanted === this.#hidden) return;
+    this.#standIn?.hideCar();
+    if (wanted === (this.#standIn?.instead ?? null)) return;
     this.#drop();
-    this.#hidden = wanted;
     if (!wanted) return;
-    const material = new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.75, side: THREE.DoubleSide });
-    this.#mesh = new CarMesh(wanted.baked, material);
-    this.#mesh.visible = false;
-    this.#mask = new THREE.Mesh(tiles.modify(this.#mesh.geometry), material);
+    this.#standIn = new StandIn(this.workbench, shown!, wanted);
+    const { mesh, material } = this.#standIn;
+    mesh.visible = false;
+    this.#mask = new THREE.Mesh(tiles.modify(mesh.geometry), material);
     this.#mask.castShadow = true;
     const { position, color } = this.#mask.geometry.attributes;
     this.#cells = inCells(position);
     for (let i = 0; i < color.count; ++i) color.setXYZ(i, bare.r, bare.g, bare.b);
-    wanted.parent!.add(this.#mesh, this.#mask, this.#tip);
-    wanted.visible = false;
+    this.#standIn.group.add(this.#mask, this.#tip);
     this.#changed();
   }
 
@@ -129,8 +118,7 @@ export class Paint {
 
   /** Gives the place on the page of a point of the car, m in its frame; for tests. */
   screen(point: Vec3): { x: number; y: number } {
-    const at = new THREE.Vector3(...point).applyMatrix4(this.#mask!.matrixWorld).project(this.workbench.camera), box = this.workbench.canvas.getBoundingClientRect();
-    return { x: box.left + ((at.x + 1) / 2) * box.width, y: box.top + ((1 - at.y) / 2) * box.height };
+    return this.#standIn!.screen(point);
   }
 
   #find<T extends HTMLElement>(what: string): T {
@@ -138,12 +126,9 @@ export class Paint {
   }
 
   #drop(): void {
-    if (this.#hidden) this.#hidden.visible = true;
-    for (const object of [this.#mesh, this.#mask, this.#tip]) object?.removeFromParent();
-    this.#mesh?.geometry.dispose();
+    this.#standIn?.remove();
     this.#mask?.geometry.dispose();
-    this.#mask?.material.dispose();
-    this.#mesh = this.#mask = null;
+    this.#standIn = this.#mask = null;
     this.#tinted = this.#cells = [];
   }
 
@@ -179,19 +164,14 @@ export class Paint {
       if (!this.#on || !(event.ctrlKey || event.metaKey)) return;
       if (key === "z" || key === "y") {
         event.preventDefault();
-        if (key === "z" && !event.shiftKey) this.#undo();
-        else this.#redo();
+        if (key === "z" && !event.shiftKey) this.#history.undo();
+        else this.#history.redo();
       }
     });
   }
 
-  #hit({ clientX, clientY }: { clientX: number; clientY: number }): THREE.Vector3 | null {
-    if (!this.#mesh) return null;
-    const box = this.workbench.canvas.getBoundingClientRect();
-    const at = new THREE.Vector2((2 * (clientX - box.left)) / box.width - 1, 1 - (2 * (clientY - box.top)) / box.height);
-    this.#ray.setFromCamera(at, this.workbench.camera);
-    const [hit] = this.#ray.intersectObject(this.#mesh, false);
-    return hit ? this.#mesh.worldToLocal(hit.point.clone()) : null;
+  #hit(event: { clientX: number; clientY: number }): THREE.Vector3 | null {
+    return this.#standIn?.hit(event)?.at ?? null;
   }
 
   #point(at: THREE.Vector3 | null): void {
@@ -211,23 +191,20 @@ export class Paint {
     if (last && at.distanceTo(new THREE.Vector3(last.x, last.y, last.z)) < spacing * radius) return;
     const kind = this.#find<HTMLSelectElement>("#paint-kind").value;
     const name = kind === "eraser" ? eraser : this.#find<HTMLInputElement>("#paint-name").value.trim() || "front";
-    const [x, y, z] = at.toArray().map((value) => Number(value.toFixed(4)));
-    this.#stroke.push({ name, ...(kind === "anchor" ? { anchored: true } : {}), sphere: { center: { x, y, z }, radius } });
+    this.#stroke.push({ name, ...(kind === "anchor" ? { anchored: true } : {}), sphere: { center: pointOf(at), radius } });
     this.#changed();
   }
 
   #end(whole: boolean): void {
     const stroke = this.#stroke;
     this.#stroke = null;
-    if (whole && stroke?.length) this.#become([...this.entries, ...stroke]);
+    if (whole && stroke?.length) this.#history.become([...this.#history.now, ...stroke]);
     else if (stroke) this.#changed();
   }
 
   #dabInTheMiddle(): void {
     if (!this.#on) this.toggle(true);
-    // the middle of the part of the window that the panel leaves free, where the camera looks
-    const { camera, controls } = this.workbench, at = controls.target.clone().project(camera), box = this.workbench.canvas.getBoundingClientRect();
-    const point = this.#hit({ clientX: box.left + ((at.x + 1) / 2) * box.width, clientY: box.top + ((1 - at.y) / 2) * box.height });
+    const point = this.#standIn?.middle()?.at;
     if (!point) return this.tell("the middle of the view is not on the car", true);
     this.#stroke = [];
     this.#dab(point);
@@ -236,35 +213,12 @@ export class Paint {
 
   // ---- what is painted ----
 
-  #become(entries: readonly Entry[]): void {
-    this.#past.push(this.entries);
-    this.#future = [];
-    this.entries = entries;
-    this.#changed();
-  }
-
-  #undo(): void {
-    const before = this.#past.pop();
-    if (!before) return;
-    this.#future.push(this.entries);
-    this.entries = before;
-    this.#changed();
-  }
-
-  #redo(): void {
-    const after = this.#future.pop();
-    if (!after) return;
-    this.#past.push(this.entries);
-    this.entries = after;
-    this.#changed();
-  }
-
   #load(text: string, name: string): void {
     try {
       const { regions } = JSON.parse(text) as { regions?: Entry[] };
       if (!Array.isArray(regions) || regions.some((entry) => typeof entry.name !== "string" || (!entry.sphere && !entry.box)))
         throw new Error('it needs a list "regions", each with a name and a sphere or a box');
-      this.#become(regions);
+      this.#history.become(regions);
       this.tell(`${name}: ${regions.length} entries`);
     } catch (error) {
       this.tell(`${name} is not a regions file in strict JSON: ${sentence(error)}`, true);
@@ -272,7 +226,7 @@ export class Paint {
   }
 
   #changed(): void {
-    const entries = [...this.entries, ...(this.#stroke ?? [])], legend = new Map<string, { colour: THREE.Color; label: string }>();
+    const entries = [...this.#history.now, ...(this.#stroke ?? [])], legend = new Map<string, { colour: THREE.Color; label: string }>();
     const key = ({ name, anchored }: Entry) => `${name} ${anchored ?? false}`;
     for (const entry of entries) {
       if ((entry.name === eraser && !entry.anchored) || legend.has(key(entry))) continue;
@@ -288,8 +242,8 @@ export class Paint {
     });
     this.#find("#paint-legend").replaceChildren(...rows);
     this.#find("#paint-names").replaceChildren(...[...new Set(entries.map(({ name }) => name))].map((name) => new Option(name)));
-    this.#find<HTMLButtonElement>("#paint-undo").disabled = !this.#past.length;
-    this.#find<HTMLButtonElement>("#paint-redo").disabled = !this.#future.length;
+    this.#find<HTMLButtonElement>("#paint-undo").disabled = !this.#history.past;
+    this.#find<HTMLButtonElement>("#paint-redo").disabled = !this.#history.future;
     this.workbench.wake();
   }
 

@@ -1,6 +1,7 @@
-// The tools of the panel, if the gateway takes commands: tune and paint, for one car of the scene.
+// The tools of the panel, if the gateway takes commands: tune, paint and parts, for one car of the scene.
 import { Control } from "../control.js";
 import { Paint } from "./paint.js";
+import { Parts } from "./parts.js";
 import { Tune } from "./tune.js";
 import type { Workbench } from "./workbench.js";
 
@@ -8,6 +9,7 @@ export interface Tools {
   /** The page calls this with every picture. */
   update(): void;
   paint: Paint;
+  parts: Parts;
 }
 
 /** null: this gateway takes no commands. */
@@ -22,8 +24,9 @@ export async function startTools(root: HTMLElement, workbench: Workbench): Promi
     workbench.wake();
   };
   const chosen = () => workbench.cars().get(choice.value) ?? null;
-  const tune = new Tune(control, chosen, tell), paint = new Paint(control, workbench, chosen, tell);
-  root.append(tune.root, paint.root, answer);
+  const tune = new Tune(control, chosen, tell), paint = new Paint(control, workbench, chosen, tell), parts = new Parts(workbench, chosen, tell);
+  paint.root.name = parts.root.name = "undamaged"; // the browser closes one when the other opens: both show the car in their colours
+  root.append(tune.root, paint.root, parts.root, answer);
   let ids = "", followed = "";
   const update = () => {
     const now = [...workbench.cars().keys()].join(" ");
@@ -40,6 +43,7 @@ export async function startTools(root: HTMLElement, workbench: Workbench): Promi
     }
     tune.update();
     paint.update();
+    parts.update();
   };
-  return { update, paint };
+  return { update, paint, parts };
 }

@@ -9,6 +9,25 @@ export interface Shown {
   car: LiveCar;
   group: THREE.Group;
   mesh: CarMesh | null;
+  own: THREE.Object3D | null; // the user's model, in place of the mesh
+}
+
+/** As the files that the page reads and writes have it, m in the car's frame. */
+export interface Point {
+  x: number;
+  y: number;
+  z: number;
+}
+
+/** Gives a place that the pointer has found: to a tenth of a millimetre. */
+export function pointOf(at: THREE.Vector3): Point {
+  const [x, y, z] = at.toArray().map((value) => Number(value.toFixed(4)));
+  return { x, y, z };
+}
+
+/** Gives the text of a regions or parts file: a line for each entry. */
+export function inJson(name: string, entries: readonly object[]): string {
+  return `{\n  "${name}": [${entries.map((entry) => `\n    ${JSON.stringify(entry)}`).join(",")}\n  ]\n}\n`;
 }
 
 /** What the page lends its tools. */
