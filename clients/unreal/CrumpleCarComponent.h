@@ -2,6 +2,7 @@
 // run it in Unreal yet: README.md says what was tested.
 #pragma once
 
+#include <Engine/StaticMesh.h>
 #include <ProceduralMeshComponent.h>
 #include <crumple_client.h>
 // clang-format off
@@ -23,7 +24,19 @@ inline CrumplePose FromUnreal(const FVector& Position, const FQuat& Rotation) {
 
 struct FCrumpleSession {
   Crumple* Handle = nullptr;
+  TMap<FString, uint32> Mappings;  // all cars share them, because a session has at most 1024
   ~FCrumpleSession() { crumple_close(Handle); }
+};
+
+// A section of the drawn mesh. The lists of floats are as the library writes them, 3 for each vertex.
+struct FCrumpleSection {
+  int32 Index = 0;
+  uint32 Mapping = 0;  // 0: the baked surface
+  TArray<float> Position, Normal, Tangent;
+  TArray<FVector> Vertices, Normals;
+  TArray<int32> Triangles;
+  TArray<FVector2D> UVs;  // these two only of a mesh of the game
+  TArray<FProcMeshTangent> Tangents;
 };
 
 UCLASS(ClassGroup = (Crumple), meta = (BlueprintSpawnableComponent))
@@ -46,6 +59,10 @@ class UCrumpleCarComponent : public UProceduralMeshComponent {
   // however unevenly messages come.
   UPROPERTY(EditAnywhere, BlueprintReadWrite, Category = "Crumple")
   float Delay = 0.1f;
+  // A mesh of the game, which the component draws instead of the baked surface. The transform of the component, relative to the
+  // component that moves as the car, is then the place of the mesh in the car.
+  UPROPERTY(EditAnywhere, BlueprintReadWrite, Category = "Crumple")
+  UStaticMesh* OwnMesh = nullptr;
   // Must be shown where the car is shown.
   UPROPERTY(BlueprintReadOnly, Category = "Crumple")
   FString Attribution;
@@ -56,10 +73,10 @@ class UCrumpleCarComponent : public UProceduralMeshComponent {
 
  private:
   bool Build(const char* Hash);
+  bool Map(const char* Hash, FCrumpleSection& Section);
+  void Draw(FCrumpleSection& Section, uint32 First, uint32 Count, bool bAnother);
 
   TSharedPtr<FCrumpleSession> Session;
   FString Asset;
-  TArray<float> Position, Normal;  // 3 for each vertex, as the library writes them
-  TArray<FVector> Vertices, Normals;
-  TArray<int32> Triangles;
+  TArray<FCrumpleSection> Sections;
 };

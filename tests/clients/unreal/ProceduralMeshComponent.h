@@ -16,7 +16,7 @@
 #define TEXT(text) text
 #define UTF8_TO_TCHAR(text) text
 #define TCHAR_TO_UTF8(text) text
-#define UE_LOG(category, level, format, ...) std::fprintf(stderr, format "\n", __VA_ARGS__)
+#define UE_LOG(category, level, ...) logged.push_back(FString::Printf(__VA_ARGS__))
 
 using int32 = std::int32_t;
 using uint32 = std::uint32_t;
@@ -26,7 +26,14 @@ struct FString : std::string {
   using std::string::string;
   FString(const std::string& text) : std::string(text) {}
   const TCHAR* operator*() const { return c_str(); }
+  template <class... Values>
+  static FString Printf(const TCHAR* format, Values... values) {
+    char out[1000];
+    std::snprintf(out, sizeof out, format, values...);
+    return out;
+  }
 };
+inline std::vector<FString> logged;
 struct FTCHARToUTF8 {
   const char* text;
   explicit FTCHARToUTF8(const TCHAR* from) : text(from) {}
@@ -40,8 +47,15 @@ struct TArray {
   std::vector<T> all;
   int32 Num() const { return int32(all.size()); }
   void SetNumZeroed(int32 count) { all.assign(size_t(count), T{}); }
+  void Empty() { all.clear(); }
+  void Add(const T& one) { all.push_back(one); }
+  auto begin() { return all.begin(); }
+  auto end() { return all.end(); }
   T* GetData() { return all.data(); }
-  T& operator[](size_t at) { return all.at(at); }
+  template <class Index>
+  T& operator[](Index at) {
+    return all.at(size_t(at));
+  }
 };
 template <class T>
 struct TSharedPtr : std::shared_ptr<T> {
@@ -68,14 +82,33 @@ struct FVector {
   double X = 0, Y = 0, Z = 0;
   FVector() = default;
   FVector(double x, double y, double z) : X(x), Y(y), Z(z) {}
+  FVector operator-(const FVector& other) const { return {X - other.X, Y - other.Y, Z - other.Z}; }
 };
 struct FQuat {
   double X, Y, Z, W;
   FQuat(double x, double y, double z, double w) : X(x), Y(y), Z(z), W(w) {}
 };
-struct FVector2D {};
+struct FTransform {
+  FVector Row[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, Origin;  // not in Unreal, which has a rotation and a scale
+  FVector TransformPosition(const FVector& v) const {
+    return {v.X * Row[0].X + v.Y * Row[0].Y + v.Z * Row[0].Z + Origin.X,
+            v.X * Row[1].X + v.Y * Row[1].Y + v.Z * Row[1].Z + Origin.Y,
+            v.X * Row[2].X + v.Y * Row[2].Y + v.Z * Row[2].Z + Origin.Z};
+  }
+  FString ToString() const {
+    FString out;
+    for (const FVector& each : {Row[0], Row[1], Row[2], Origin}) out += FString::Printf("%f,%f,%f|", each.X, each.Y, each.Z);
+    return out;
+  }
+};
+struct FVector2D {
+  double X = 0, Y = 0;
+};
 struct FColor {};
-struct FProcMeshTangent {};
+struct FProcMeshTangent {
+  FVector TangentX;
+  bool bFlipTangentY = false;
+};
 struct FObjectInitializer {};
 struct FActorComponentTickFunction {
   bool bCanEverTick = false;
@@ -85,6 +118,8 @@ namespace EEndPlayReason {
 enum Type { Destroyed };
 }
 
+struct UMaterialInterface {};
+
 class UProceduralMeshComponent {
  public:
   explicit UProceduralMeshComponent(const FObjectInitializer&) {}
@@ -92,17 +127,32 @@ class UProceduralMeshComponent {
   virtual void BeginPlay() {}
   virtual void EndPlay(const EEndPlayReason::Type) {}
   virtual void TickComponent(float, ELevelTick, FActorComponentTickFunction*) {}
-  void CreateMeshSection(int32, const TArray<FVector>& Vertices, const TArray<int32>& Triangles, const TArray<FVector>& Normals,
-                         const TArray<FVector2D>&, const TArray<FColor>&, const TArray<FProcMeshTangent>&, bool) {
-    drawn = Vertices, normals = Normals, corners = Triangles;
+  void CreateMeshSection(int32 Section, const TArray<FVector>& Vertices, const TArray<int32>& Triangles,
+                         const TArray<FVector>& Normals, const TArray<FVector2D>& UVs, const TArray<FColor>&,
+                         const TArray<FProcMeshTangent>& Tangents, bool) {
+    section[Section] = {Vertices, Normals, Triangles, UVs, Tangents};
   }
-  void UpdateMeshSection(int32, const TArray<FVector>& Vertices, const TArray<FVector>& Normals, const TArray<FVector2D>&,
-                         const TArray<FColor>&, const TArray<FProcMeshTangent>&) {
-    drawn = Vertices, normals = Normals;
+  void UpdateMeshSection(int32 Section, const TArray<FVector>& Vertices, const TArray<FVector>& Normals,
+                         const TArray<FVector2D>& UVs, const TArray<FColor>&, const TArray<FProcMeshTangent>& Tangents) {
+    Drawn& drawn = section.at(Section);
+    drawn.vertices = Vertices, drawn.normals = Normals;
+    if (UVs.Num() > 0) drawn.uvs = UVs;
+    if (Tangents.Num() > 0) drawn.tangents = Tangents;
     ++updates;
   }
+  UMaterialInterface* GetMaterial(int32 index) const { return material.contains(index) ? material.at(index) : nullptr; }
+  void SetMaterial(int32 index, UMaterialInterface* one) { material[index] = one; }
+  FTransform GetRelativeTransform() const { return place; }
   FActorComponentTickFunction PrimaryComponentTick;
-  TArray<FVector> drawn, normals;  // not in Unreal: the data of the graphics card
-  TArray<int32> corners;
+  // Not in Unreal: the data of the graphics card.
+  struct Drawn {
+    TArray<FVector> vertices, normals;
+    TArray<int32> corners;
+    TArray<FVector2D> uvs;
+    TArray<FProcMeshTangent> tangents;
+  };
+  std::map<int32, Drawn> section;
+  std::map<int32, UMaterialInterface*> material;
+  FTransform place;
   int updates = 0;
 };
