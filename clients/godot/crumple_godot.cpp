@@ -4,8 +4,10 @@
 #include <crumple_client.h>
 #include <gdextension_interface.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
 #include <string>
 #include <type_traits>
@@ -18,10 +20,12 @@ namespace {
 
 #define FROM_GODOT(each)                                                              \
   each(PrintError, print_error);                                                      \
+  each(PrintWarning, print_warning);                                                  \
   each(StringNameNewWithLatin1Chars, string_name_new_with_latin1_chars);              \
   each(StringNewWithUtf8CharsAndLen2, string_new_with_utf8_chars_and_len2);           \
   each(StringToUtf8Chars, string_to_utf8_chars);                                      \
   each(PackedByteArrayOperatorIndex, packed_byte_array_operator_index);               \
+  each(PackedByteArrayOperatorIndexConst, packed_byte_array_operator_index_const);    \
   each(VariantGetPtrBuiltinMethod, variant_get_ptr_builtin_method);                   \
   each(VariantGetPtrConstructor, variant_get_ptr_constructor);                        \
   each(VariantGetPtrDestructor, variant_get_ptr_destructor);                          \
@@ -36,7 +40,7 @@ namespace {
 struct {
 #define DECLARE(Type, name) GDExtensionInterface##Type name
   FROM_GODOT(DECLARE)
-  GDExtensionPtrBuiltInMethod resize;  // of PackedByteArray
+  GDExtensionPtrBuiltInMethod resize, size;  // of PackedByteArray
 } godot;
 GDExtensionClassLibraryPtr library;
 
@@ -87,6 +91,13 @@ std::string read(const void* value) {
   return text;
 }
 
+template <>
+Bytes read(const void* value) {
+  GDExtensionInt size = 0;
+  godot.size(const_cast<void*>(value), nullptr, &size, 0);
+  return {size > 0 ? godot.packed_byte_array_operator_index_const(value, 0) : nullptr, size_t(size)};
+}
+
 template <class T>
 void write(const T& from, void* value) {
   *static_cast<T*>(value) = from;
@@ -115,6 +126,7 @@ class Session {
     if (!good(crumple_open(&options, &opened))) return false;
     crumple_close(handle_);
     handle_ = opened;
+    own_.clear();
     return true;
   }
   bool follow(std::string car, int64_t level) { return good(crumple_follow(handle_, car.c_str(), int(level))); }
@@ -155,25 +167,77 @@ class Session {
     return text ? text : "";
   }
 
-  // Decodes the car as it was at that time. Only vertices in this range may differ from the last copy of this car; its length
-  // is negative while the surface of the car or its mesh is missing.
-  Range copy(std::string car, double time) {
+  // Binds a surface of the game to the baked car, as crumple_map does, and returns the mapping for copy(), or 0. Warns if the
+  // surface is far from the baked one. name: of the surface, for the messages. positions, normals: Vector3. tangents: 4 float32
+  // for each vertex, the last for the side of the binormal. Normals and tangents may be empty. to_car: the rows of a 3 x 4
+  // matrix from the coordinates of the surface to the car's frame, float64.
+  int64_t map(std::string asset, std::string name, Bytes positions, Bytes normals, Bytes tangents, Bytes to_car) {
+    const size_t count = positions.size / 12;
+    const auto fits = [](size_t size, size_t wanted) { return size == 0 || size == wanted; };
+    if (count == 0 || !fits(normals.size, 12 * count) || !fits(tangents.size, 16 * count) || to_car.size != 96) {
+      complain(name + ": the lists do not fit together: give 3, 3 and 4 float32 for each vertex, and 12 float64");
+      return 0;
+    }
+    const auto* given = static_cast<const float*>(tangents.data);
+    std::vector<float> tangent;
+    Own own{count, {}};
+    for (size_t i = 0; i < tangents.size / 16; ++i) {
+      tangent.insert(tangent.end(), given + 4 * i, given + 4 * i + 3);
+      own.side.push_back(given[4 * i + 3] < 0 ? -1 : 1);
+    }
+    CrumpleOwnMesh mesh{};
+    mesh.position = static_cast<const float*>(positions.data);
+    mesh.normal = static_cast<const float*>(normals.data);
+    mesh.tangent = tangent.empty() ? nullptr : tangent.data();
+    mesh.stride = 12;
+    mesh.count = count;
+    mesh.to_car = static_cast<const double*>(to_car.data);
+    uint32_t mapping = 0;
+    const int status = crumple_map(handle_, asset.c_str(), &mesh, &mapping);
+    if (status < 0) complain(name + " shows no dents: " + crumple_error() + "; correct the mesh, or leave it out");
+    if (status != CRUMPLE_OK) return 0;
+    if (mesh.farthest > far_off) {
+      char fact[200];
+      std::snprintf(
+          fact, sizeof fact,
+          ": a vertex is %.2f m away from the baked surface, and %u of %zu vertices lie on vertices of it; move the mesh "
+          "to its place in the car, or leave it out",
+          double(mesh.farthest), mesh.on_vertices, count);
+      godot.print_warning((name + fact).c_str(), "CrumpleSession", __FILE__, 0, false);
+    }
+    own_.resize(mapping);
+    own_.back() = std::move(own);
+    return mapping;
+  }
+
+  // Decodes the car as it was at that time. mapping: from map(): a surface of the game; 0: the baked surface. Only vertices in
+  // this range may differ from the last copy of this car with this mapping; its length is negative while the surface of the car
+  // or its mesh is missing.
+  Range copy(std::string car, double time, int64_t mapping) {
     CrumpleVertices out{};
     CrumpleMesh mesh{};
     if (const std::string name = asset(car); !name.empty()) mesh = mesh_of(name);
-    position_.resize(3 * size_t{mesh.vertex_count});
-    normal_.resize(position_.size());
-    if (position_.empty()) return {0, -1};
+    if (mesh.vertex_count == 0) return {0, -1};
+    const Own baked{mesh.vertex_count, {}},
+        &own = mapping > 0 && size_t(mapping) <= own_.size() ? own_[size_t(mapping - 1)] : baked;
+    const size_t count = own.count;
+    position_.resize(3 * count);
+    normal_.resize(3 * count);
+    side_ = own.side;
+    tangent_.resize(3 * side_.size());
     out.position = position_.data();
     out.normal = normal_.data();
+    out.tangent = tangent_.empty() ? nullptr : tangent_.data();
     out.stride = 12;
-    out.capacity = mesh.vertex_count;
+    out.capacity = count;
     out.time = time;
+    out.mapping = uint32_t(mapping);
     if (!has(crumple_copy(handle_, car.c_str(), &out))) return {0, -1};
     return {int32_t(out.first), int32_t(out.count)};
   }
-  // These two give the last copy as the vertex buffer of a Godot mesh has it: first all positions, then all normals, `stride`
-  // bytes from one normal to the next. The bytes between are 0: a tangent, which only a normal map would need.
+  // These two give the last copy as the vertex buffer of a Godot mesh has it: first all positions, then each vertex's normal
+  // and tangent, `stride` bytes from one normal to the next. Without tangents their bytes are 0: only a normal map would need
+  // them.
   Bytes positions(int64_t first, int64_t count) {
     if (!within(first, count)) return {};
     return {&position_[3 * size_t(first)], 12 * size_t(count)};
@@ -181,7 +245,12 @@ class Session {
   Bytes normals(int64_t first, int64_t count, int64_t stride) {
     if (!within(first, count)) return {};
     folded_.assign(size_t(count * stride / 2), 0);
-    for (int64_t i = 0; i < count; ++i) fold(&normal_[3 * size_t(first + i)], &folded_[size_t(i * stride / 2)]);
+    for (int64_t i = 0; i < count; ++i) {
+      const size_t at = size_t(first + i);
+      uint16_t* out = &folded_[size_t(i * stride / 2)];
+      fold(&normal_[3 * at], 0, out);
+      if (!side_.empty() && stride >= 8) fold(&tangent_[3 * at], side_[at], out + 2);
+    }
     return {folded_.data(), 2 * folded_.size()};
   }
 
@@ -194,6 +263,14 @@ class Session {
   Session(const Session&) = delete;
 
  private:
+  static constexpr float far_off = 0.05F;  // m: beyond it a vertex belongs to no part of the baked car
+
+  // A mapped surface of the game. side: of the binormal, 1 or -1 for each vertex; empty: the surface has no tangents.
+  struct Own {
+    size_t count = 0;  // vertices
+    std::vector<float> side;
+  };
+
   static bool good(int status) {
     if (status < 0) complain(crumple_error());
     return status >= 0;
@@ -209,24 +286,28 @@ class Session {
     return holds;
   }
   // Puts a direction on the octahedron |x| + |y| + |z| = 1 and folds its lower half over the upper one: 16 bits each for x and
-  // y.
-  static void fold(const float* direction, uint16_t* out) {
+  // y. A tangent has a side, 1 or -1, and y in the upper or the lower half of its 16 bits: Godot tells the side by the half.
+  static void fold(const float* direction, float side, uint16_t* out) {
     const float size = std::fabs(direction[0]) + std::fabs(direction[1]) + std::fabs(direction[2]);
     const float x = direction[0] / size, y = direction[1] / size;
     const bool below = direction[2] < 0;
     const float plane[2] = {below ? std::copysign(1 - std::fabs(y), x) : x, below ? std::copysign(1 - std::fabs(x), y) : y};
     for (int i = 0; i < 2; ++i) out[i] = uint16_t(65535 * (0.5F + 0.5F * plane[i]));
+    if (side == 0) return;
+    out[1] = uint16_t(side > 0 ? 32768 + out[1] / 2 : 32767 - std::max(out[1] / 2, 1));
+    if (out[0] == 0 && out[1] == 65535) out[0] = 65535;  // the same direction; (0, 65535) would mark a compressed mesh
   }
 
   Crumple* handle_ = nullptr;
-  std::vector<float> position_, normal_;
+  std::vector<Own> own_;                                   // mapping k + 1 is own_[k]
+  std::vector<float> position_, normal_, tangent_, side_;  // of the last copy
   std::vector<uint32_t> clockwise_;
   std::vector<uint16_t> folded_;
 };
 
 // ---- its methods in Godot
 
-constexpr int most_arguments = 3;
+constexpr int most_arguments = 6;
 
 struct Method {
   const char* name;
@@ -254,12 +335,19 @@ struct Of<method> {
 };
 
 const Method methods[] = {
-    Of<&Session::open>::named("open"),           Of<&Session::follow>::named("follow"),
-    Of<&Session::poll>::named("poll"),           Of<&Session::time>::named("time"),
-    Of<&Session::asset>::named("asset"),         Of<&Session::alive>::named("alive"),
-    Of<&Session::vertices>::named("vertices"),   Of<&Session::triangles>::named("triangles"),
-    Of<&Session::copy>::named("copy"),           Of<&Session::attribution>::named("attribution"),
-    Of<&Session::positions>::named("positions"), Of<&Session::normals>::named("normals"),
+    Of<&Session::open>::named("open"),
+    Of<&Session::follow>::named("follow"),
+    Of<&Session::poll>::named("poll"),
+    Of<&Session::time>::named("time"),
+    Of<&Session::asset>::named("asset"),
+    Of<&Session::alive>::named("alive"),
+    Of<&Session::vertices>::named("vertices"),
+    Of<&Session::triangles>::named("triangles"),
+    Of<&Session::copy>::named("copy"),
+    Of<&Session::attribution>::named("attribution"),
+    Of<&Session::positions>::named("positions"),
+    Of<&Session::normals>::named("normals"),
+    Of<&Session::map>::named("map"),
 };
 
 // For a script that does not know the types: converts variants to values and back.
@@ -298,8 +386,9 @@ void describe(GDExtensionVariantType type, Name& name, Name& nothing, Value& emp
 
 void begin(void*, GDExtensionInitializationLevel level) {
   if (level != GDEXTENSION_INITIALIZATION_SCENE) return;
-  const Name name("CrumpleSession"), base("RefCounted"), resize("resize");
+  const Name name("CrumpleSession"), base("RefCounted"), resize("resize"), size("size");
   godot.resize = godot.variant_get_ptr_builtin_method(GDEXTENSION_VARIANT_TYPE_PACKED_BYTE_ARRAY, &resize.value, 848867239);
+  godot.size = godot.variant_get_ptr_builtin_method(GDEXTENSION_VARIANT_TYPE_PACKED_BYTE_ARRAY, &size.value, 3173160232);
   GDExtensionClassCreationInfo4 info{};
   info.is_exposed = true;
   info.create_instance_func = create;
